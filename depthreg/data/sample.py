@@ -1,0 +1,65 @@
+"""The data contract: what a frame, a measurement and a batch hold, in which units and on which grid.
+
+Pixel centres lie at integers. Depth is z-depth (along the optical axis) in metres, float32, 0 where there is none;
+`range_m` is the length along a ray. Camera coordinates: x right, y down, z forward. `affine_rgb_from_depth` (2, 3) is in
+pixels: `rgb[A @ (x, y, 1)]` belongs to `depth_m[y, x]`. Axes: B batch, H rows, W columns, N returns, M margin.
+"""
+
+from dataclasses import dataclass
+from typing import TypedDict
+
+import numpy as np
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class LidarReturns:
+    """Noise-free returns of a scanner that stands beside the camera, as seen in the camera's image.
+
+    Rays start at the LiDAR's own origin, so some returns are hidden from the camera ("see-through" points) and still
+    project into the image.
+    """
+
+    uv_px: np.ndarray  # (N, 2) float32, column and row in the image without margin; always inside it
+    depth_m: np.ndarray  # (N,) float32, z-depth in the camera
+    range_m: np.ndarray  # (N,) float32, distance from the LiDAR's origin
+    cos_incidence: np.ndarray  # (N,) float32 in [0, 1], 1 = ray hits the surface head-on
+    albedo: np.ndarray  # (N,) float32 in [0, 1], diffuse reflectivity
+    ring: np.ndarray  # (N,) int16, laser number, 0 = the highest beam
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What perfect instruments would see of one scene."""
+
+    rgb: np.ndarray  # (H + 2M, W + 2M, 3) uint8; the margin lets a misaligned view be drawn without black borders
+    margin_px: int  # M
+    depth_m: np.ndarray  # (H, W) float32, 0 = sky
+    object_id: np.ndarray  # (H, W) int32, -1 = sky
+    normal: np.ndarray  # (H, W, 3) float32, unit, camera coordinates, facing the camera; 0 in the sky
+    intrinsics: np.ndarray  # (3, 3) float32, K of the image without margin
+    rgb_right: np.ndarray  # (H, W, 3) uint8, the right camera of a rectified pair
+    baseline_m: float  # distance from the left to the right camera
+    lidar: LidarReturns
+
+
+class FrameBatch(TypedDict):
+    """Frames collated for the sensor simulator."""
+
+    rgb: Tensor  # (B, 3, H + 2M, W + 2M) uint8
+    depth_m: Tensor  # (B, 1, H, W)
+    intrinsics: Tensor  # (B, 3, 3)
+    lidar: Tensor  # (B, N, 7): u_px, v_px, depth_m, range_m, cos_incidence, albedo, ring; padded with zeros (range 0)
+    index: Tensor  # (B,) int64, the sample's number in its data set
+
+
+class Measurement(TypedDict, total=False):
+    """What real instruments report, with the truth where it is known. Real data enters here too."""
+
+    rgb: Tensor  # (B, 3, H, W) in [0, 1], misaligned
+    depth_m: Tensor  # (B, 1, H, W) sparse and noisy
+    intrinsics: Tensor  # (B, 3, 3); absent where unknown
+    truth_depth_m: Tensor  # (B, 1, H, W), 0 where unknown
+    truth_rgb: Tensor  # (B, 3, H, W), colour on the depth's grid; absent where unknown
+    truth_affine_rgb_from_depth: Tensor  # (B, 2, 3); absent where unknown
+    name: list[str]  # for messages and pictures
