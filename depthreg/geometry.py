@@ -10,7 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def identity_affine(batch: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
+def identity_affine(
+    batch: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> Tensor:
     """The affine that leaves every pixel where it is, (B, 2, 3)."""
     return torch.eye(2, 3, device=device, dtype=dtype).expand(batch, 2, 3).contiguous()
 
@@ -38,10 +40,14 @@ def transform_points(affine: Tensor, points_px: Tensor) -> Tensor:
     return points_px @ affine[..., :2].transpose(-1, -2) + affine[..., None, :, 2]
 
 
-def pixel_grid(height: int, width: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
+def pixel_grid(
+    height: int, width: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> Tensor:
     """The (x, y) of every pixel centre, (H, W, 2)."""
     y, x = torch.meshgrid(
-        torch.arange(height, device=device, dtype=dtype), torch.arange(width, device=device, dtype=dtype), indexing="ij"
+        torch.arange(height, device=device, dtype=dtype),
+        torch.arange(width, device=device, dtype=dtype),
+        indexing="ij",
     )
     return torch.stack([x, y], dim=-1)
 
@@ -58,7 +64,9 @@ def sample_at(image: Tensor, xy_px: Tensor) -> tuple[Tensor, Tensor]:
     """
     height, width = image.shape[-2:]
     last = xy_px.new_tensor([width - 1, height - 1])
-    samples = F.grid_sample(image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True)
+    samples = F.grid_sample(
+        image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True
+    )
     # A thousandth of a pixel forgives rounding at the border of an identity warp.
     inside = ((xy_px >= -1e-3) & (xy_px <= last + 1e-3)).all(dim=-1)[:, None]
     return samples, inside
@@ -81,10 +89,14 @@ def warp_affine(image: Tensor, affine: Tensor, size: tuple[int, int] | None = No
     return sample_at(image, xy_px.to(image.dtype))
 
 
-def image_corners(height: int, width: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
+def image_corners(
+    height: int, width: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> Tensor:
     """Centres of the four corner pixels as (x, y), (4, 2)."""
     return torch.tensor(
-        [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]], device=device, dtype=dtype or torch.float32
+        [[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]],
+        device=device,
+        dtype=dtype or torch.float32,
     )
 
 

@@ -32,7 +32,9 @@ class LidarReturns:
 class Frame:
     """What perfect instruments would see of one scene."""
 
-    rgb: np.ndarray  # (H + 2M, W + 2M, 3) uint8; the margin lets a misaligned view be drawn without black borders
+    rgb: (
+        np.ndarray
+    )  # (H + 2M, W + 2M, 3) uint8; the margin lets a misaligned view be drawn without black borders
     margin_px: int  # M
     depth_m: np.ndarray  # (H, W) float32, 0 = sky
     object_id: np.ndarray  # (H, W) int32, -1 = sky

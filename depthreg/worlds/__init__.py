@@ -1,0 +1,7 @@
+"""What exists: worlds draw a scene of meshes, materials and lights from two numbers."""
+
+from depthreg.worlds.blocks import BlocksWorld
+from depthreg.worlds.driving import DrivingWorld
+from depthreg.worlds.household import HouseholdWorld
+
+__all__ = ["BlocksWorld", "DrivingWorld", "HouseholdWorld"]

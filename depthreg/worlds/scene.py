@@ -15,12 +15,14 @@ RGB = tuple[float, float, float]
 class Material:
     """Diffuse surface whose colour is a function of the world position (and of the face's normal)."""
 
-    color: RGB  # linear albedo in [0, 1]
+    color: RGB  # linear albedo in [0, 1]; above 1 it shines by itself
     pattern: str = "plain"  # a key of textures.PATTERNS
     second_color: RGB = (0.5, 0.5, 0.5)  # joints, gaps, spots, window panes: whatever the pattern contrasts with
     scale_m: float = 1.0  # size of one repeat of the pattern
     gloss: float = 0.0  # share of the sky mirrored, [0, 1]
     seed: int = 0  # two objects of one pattern differ by their seeds
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # world position where the pattern's first repeat starts
+    variation: float = 0.0  # spread of the brightness from face to face, [0, 1]: leaves
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class SceneObject:
 
 @dataclass(frozen=True)
 class Light:
-    """Sun, sky and air of a scene, or a room's lamp light (a "sun" from above, no sky)."""
+    """Sun, sky and air of a scene, or the lamp of a room."""
 
     sun_direction: np.ndarray  # (3,) unit vector towards the sun
     sun_rgb: RGB
@@ -44,6 +46,7 @@ class Light:
     cloud_cover: float = 0.3  # [0, 1]
     fog_per_m: float = 0.0  # extinction: colour fades to the horizon's as exp(-fog_per_m * range)
     exposure: float = 1.0
+    lamp_m: tuple[float, float, float] | None = None  # where set, a lamp stands here for the sun, `sun_rgb` at 2 m
 
 
 @dataclass(frozen=True)

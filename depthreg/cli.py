@@ -1,0 +1,58 @@
+"""The `depthreg` command: one dictionary of subcommands."""
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+from depthreg import __version__
+from depthreg.errors import InputError
+
+COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
+    "train": ("depthreg.train", "walk the curriculum, or one stage of it"),
+    "evaluate": ("depthreg.evaluate", "score a checkpoint beside the classical baselines"),
+    "complete": ("depthreg.complete", "complete and register your own files"),
+    "render": ("depthreg.render", "look at the synthetic worlds"),
+}
+
+
+def usage() -> str:
+    """What `depthreg --help` prints."""
+    lines = [f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items()]
+    return "\n".join(
+        [
+            "usage: depthreg COMMAND ...",
+            "",
+            "Align colour with sparse depth and complete the depth.",
+            "",
+            "commands:",
+        ]
+        + lines
+        + ["", "options:", "  --help     `depthreg COMMAND --help` says more", "  --version"]
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; bad input is one sentence on standard error and exit status 2."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0
+    if arguments[0] == "--version":
+        print(f"depthreg {__version__}")
+        return 0
+    name, *rest = arguments
+    if name not in COMMANDS:
+        print(f"depthreg: unknown command '{name}': expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    try:
+        return importlib.import_module(COMMANDS[name][0]).main(rest)
+    except InputError as error:
+        print(f"depthreg {name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"depthreg {name}: interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

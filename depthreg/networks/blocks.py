@@ -1,0 +1,100 @@
+"""Layers that the networks share: the CMRF block, plain convolution blocks, and a parameter-free hole filler."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+def conv_norm_gelu(in_channels: int, out_channels: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """Convolution, group normalisation (independent of the batch, so DDP ranks agree) and GELU."""
+    return nn.Sequential(
+        nn.Conv2d(in_channels, out_channels, kernel, stride, padding=kernel // 2, bias=False),
+        nn.GroupNorm(out_channels // 8, out_channels),
+        nn.GELU(),
+    )
+
+
+def _batch_norm(channels: int) -> nn.BatchNorm2d:
+    return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.03)
+
+
+class CMRF(nn.Module):
+    """Cascade multi-receptive-field block of TinyU-Net (Chen et al., MICCAI 2024).
+
+    A 1x1 convolution shrinks the input to `out_channels / 8`; the odd half of it runs through seven depthwise 3x3
+    convolutions in a row, and everything seen on the way is kept and mixed by a second 1x1 convolution.
+
+    Its input may come in parts, as a decoder's does: the 1x1 convolution of a concatenation is the sum of 1x1
+    convolutions, and it commutes with bilinear upsampling, so each part is shrunk first, at its own resolution, and
+    only then enlarged and added. That is the same function with a fraction of the memory traffic.
+
+    Args:
+        in_channels: Channels of the input, all parts together.
+        out_channels: Channels of the output (B, out_channels, H, W), a multiple of 16.
+    """
+
+    STAGES = 8  # N in the paper
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__()
+        if out_channels % (2 * self.STAGES):
+            raise ValueError(f"out_channels must be a multiple of {2 * self.STAGES}, got {out_channels}")
+        narrow = out_channels // self.STAGES
+        self.reduce = nn.Conv2d(in_channels, narrow, 1, bias=False)
+        self.normalize = nn.Sequential(_batch_norm(narrow), nn.GELU())
+        self.cascade = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(narrow // 2, narrow // 2, 3, padding=1, groups=narrow // 2, bias=False),
+                _batch_norm(narrow // 2),
+            )
+            for _ in range(self.STAGES - 1)
+        )
+        self.expand = nn.Sequential(
+            nn.Conv2d(out_channels // 2, out_channels, 1, bias=False), _batch_norm(out_channels), nn.GELU()
+        )
+        self.residual = in_channels == out_channels
+
+    def forward(self, *parts: Tensor) -> Tensor:
+        """Parts (B, C_i, H_i, W_i) whose channels sum to in_channels -> (B, out_channels, H, W), H x W being the last's."""
+        weights = self.reduce.weight.split([part.shape[1] for part in parts], dim=1)
+        # Contiguous slices, or PyTorch falls back to its slow convolution.
+        reduced = [F.conv2d(part, weight.contiguous()) for part, weight in zip(parts, weights, strict=True)]
+        narrow = self.normalize(
+            sum(r if r.shape == reduced[-1].shape else upsample_to(r, parts[-1]) for r in reduced)
+        )
+        even, odd = narrow[:, ::2], narrow[:, 1::2]
+        seen = [even + odd]
+        for convolution in self.cascade:
+            odd = convolution(odd)
+            seen.append(odd)
+        out = self.expand(torch.cat(seen, dim=1))
+        return out + parts[0] if self.residual else out
+
+
+def upsample_to(x: Tensor, like: Tensor) -> Tensor:
+    """Bilinear resize to the height and width of `like`; bilinear because it exports everywhere."""
+    return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
+
+
+def fill_holes(values: Tensor, valid: Tensor) -> Tensor:
+    """Fill holes from ever coarser averages of the valid values (pull-push; Gortler et al., SIGGRAPH 1996).
+
+    Args:
+        values: (B, 1, H, W); ignored where not valid.
+        valid: bool, (B, 1, H, W).
+
+    Returns:
+        (B, 1, H, W): `values` where valid, smooth elsewhere; 0 everywhere for an image without a valid pixel.
+    """
+    weight = valid.to(values.dtype)
+    levels = [(values * weight, weight)]  # normalised values and whether there are any, finest first
+    while max(levels[-1][0].shape[-2:]) > 1:
+        value, weight = levels[-1]
+        # avg_pool2d divides both sums by the same count, so the ratio is the mean over the valid ones.
+        pooled_weight = F.avg_pool2d(weight, 2, ceil_mode=True)
+        pooled_value = F.avg_pool2d(value, 2, ceil_mode=True) / pooled_weight.clamp(min=1e-6)
+        levels.append((pooled_value, (pooled_weight > 0).to(values.dtype)))
+    filled = levels.pop()[0]
+    for value, weight in reversed(levels):
+        filled = value + (1 - weight) * upsample_to(filled, value)
+    return filled

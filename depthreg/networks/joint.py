@@ -1,0 +1,115 @@
+"""The joint network: registration and completion in one pass."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from depthreg.geometry import warp_affine
+from depthreg.networks.blocks import conv_norm_gelu, fill_holes
+from depthreg.networks.completion import TinyUNet
+from depthreg.networks.registration import LocalMatches, RegistrationNet
+
+
+class JointOutput(NamedTuple):
+    """What the joint network returns."""
+
+    depth_m: Tensor  # (B, 1, H, W) dense z-depth in metres, within the network's range
+    rgb_aligned: Tensor  # (B, 3, H, W) colour on the depth's grid, 0 where the colour image doesn't reach
+    affine_rgb_from_depth: Tensor  # (B, 2, 3) in pixels
+    matches: list[LocalMatches]  # what registration saw on the way; training learns from it
+
+
+class JointNetwork(nn.Module):
+    """Estimates the affine that aligns colour with depth, warps the colour, and completes the depth.
+
+    After Martinez et al., Sensors 2025, 25(11), 3328: first convolutions on both inputs serve both tasks; registration
+    reads them, the colour is warped, and TinyU-Net completes [aligned RGB, sparse depth] with the first features as
+    extra skips. Depth enters and leaves as log-depth scaled to [0, 1] over `depth_range_m`, so no prediction can
+    approach zero. The first convolutions belong to the registration side.
+
+    Args:
+        first_channels: Channels of the first convolution on each input.
+        completion_widths: Widths of TinyU-Net.
+        registration_widths: Channels of registration's tower at strides 2, 4, 8, ...
+        registration_hidden: Width of the convolutions that read a correlation.
+        matchers: Stride, radius and window of each matcher; see `Matcher`.
+        depth_range_m: Smallest and largest depth that can be predicted.
+        residual: Predict a correction to the filled sparse depth rather than the depth itself.
+    """
+
+    def __init__(
+        self,
+        first_channels: int = 16,
+        completion_widths: Sequence[int] = (64, 128, 256, 512),
+        registration_widths: Sequence[int] = (32, 96, 256),
+        registration_hidden: int = 328,
+        matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 3, 17)),
+        depth_range_m: tuple[float, float] = (0.1, 200.0),
+        residual: bool = False,
+    ) -> None:
+        super().__init__()
+        self.config: dict[str, Any] = {  # plain containers, so that a checkpoint can hold it
+            "first_channels": first_channels,
+            "completion_widths": list(completion_widths),
+            "registration_widths": list(registration_widths),
+            "registration_hidden": registration_hidden,
+            "matchers": [list(matcher) for matcher in matchers],
+            "depth_range_m": list(depth_range_m),
+            "residual": residual,
+        }
+        self.first_rgb = conv_norm_gelu(3, first_channels)
+        self.first_depth = conv_norm_gelu(3, first_channels)
+        self.registration = RegistrationNet(
+            first_channels, registration_widths, registration_hidden, matchers
+        )
+        self.completion = TinyUNet(4, 1, completion_widths, skip_channels=2 * first_channels)
+        self.min_depth_m, self.max_depth_m = depth_range_m
+        self.residual = residual
+        self.stride = max(self.completion.stride, self.registration.stride)
+
+    def registration_modules(self) -> list[nn.Module]:
+        """Everything that the affine depends on; frozen together."""
+        return [self.first_rgb, self.first_depth, self.registration]
+
+    def completion_modules(self) -> list[nn.Module]:
+        """Everything that only the completed depth depends on."""
+        return [self.completion]
+
+    def forward(self, rgb: Tensor, depth_m: Tensor) -> JointOutput:
+        """Register and complete.
+
+        Args:
+            rgb: Colour in [0, 1], (B, 3, H, W), H and W at least 64.
+            depth_m: Sparse z-depth in metres, (B, 1, H, W); 0 where there is no return.
+        """
+        height, width = rgb.shape[-2:]
+        if min(height, width) < 64 or rgb.shape[-2:] != depth_m.shape[-2:]:
+            raise ValueError(
+                f"rgb and depth_m must be of one size, at least 64 x 64, got {tuple(rgb.shape)}, {tuple(depth_m.shape)}"
+            )
+        padding = [0, -width % self.stride, 0, -height % self.stride]
+        valid = F.pad(depth_m > 0, padding)
+        sparse = F.pad(self._to_unit(depth_m), padding) * valid
+        filled = fill_holes(sparse, valid)
+        rgb_padded = F.pad(rgb, padding, mode="replicate")
+
+        first_depth = self.first_depth(torch.cat([sparse, filled, valid.to(sparse.dtype)], dim=1))
+        affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
+        rgb_aligned, _ = warp_affine(rgb_padded, affine)
+        skip = torch.cat([self.first_rgb(rgb_aligned), first_depth], dim=1)
+        logit = self.completion(torch.cat([rgb_aligned, sparse], dim=1), skip)
+        if self.residual:
+            logit = logit + torch.logit(filled, eps=1e-3)
+        depth = self._to_metres(logit.sigmoid())
+        return JointOutput(depth[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches)
+
+    def _to_unit(self, depth_m: Tensor) -> Tensor:
+        log_span = math.log(self.max_depth_m / self.min_depth_m)
+        return (depth_m.clamp(self.min_depth_m, self.max_depth_m) / self.min_depth_m).log() / log_span
+
+    def _to_metres(self, unit: Tensor) -> Tensor:
+        return self.min_depth_m * (unit * math.log(self.max_depth_m / self.min_depth_m)).exp()

@@ -1,0 +1,215 @@
+"""Registration: from colour and depth to the affine that aligns them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from depthreg.geometry import compose_affines, identity_affine, pixel_grid, sample_at, transform_points
+from depthreg.networks.blocks import conv_norm_gelu
+
+
+class LocalMatches(NamedTuple):
+    """What one matcher saw: how likely each displacement is around each place, before an affine was fitted to it."""
+
+    points_px: Tensor  # (N, 2) places on the depth's grid
+    offsets_px: Tensor  # (K, 2) candidate displacements
+    scores: Tensor  # (B, N, K) logits
+    affine_before: Tensor  # (B, 2, 3), what `affine_rgb_from_depth` was when the matcher looked
+
+
+def edge_strength(image: Tensor, window: int = 17) -> Tensor:
+    """Horizontal and vertical contrast relative to the contrast around, in [0, 1): faint edges in dull places count too.
+
+    Args:
+        image: (B, C, H, W) in [0, 1].
+        window: Side of the neighbourhood, odd, in pixels.
+
+    Returns:
+        (B, 2, H, W): the strongest channel's difference to the right and lower neighbour.
+    """
+    right = F.pad((image[..., 1:] - image[..., :-1]).abs(), [0, 1, 0, 0]).amax(dim=1)
+    down = F.pad((image[..., 1:, :] - image[..., :-1, :]).abs(), [0, 0, 0, 1]).amax(dim=1)
+    contrast = torch.stack([right, down], dim=1)
+    around = F.avg_pool2d(contrast.sum(1, keepdim=True), window, 1, window // 2, count_include_pad=False)
+    return contrast / (contrast + around + 1e-3)
+
+
+def local_correlation(fixed: Tensor, moving: Tensor, radius: int) -> Tensor:
+    """Cosine similarity of every cell with the other image's cells around the same place.
+
+    Args:
+        fixed: Features (B, C, h, w).
+        moving: Features (B, C, h, w).
+        radius: Largest displacement r in cells.
+
+    Returns:
+        (B, (2r + 1)^2, h, w); channel (dy + r) (2r + 1) + dx + r compares fixed[y, x] with moving[y + dy, x + dx].
+    """
+    fixed, moving = F.normalize(fixed, dim=1), F.normalize(moving, dim=1)
+    height, width = fixed.shape[-2:]
+    padded = F.pad(moving, [radius] * 4)
+    side = range(2 * radius + 1)
+    products = [(fixed * padded[..., i : i + height, j : j + width]).sum(dim=1) for i in side for j in side]
+    return torch.stack(products, dim=1)
+
+
+def fit_affine(
+    points_px: Tensor, displacements_px: Tensor, weights: Tensor, stiffness: float = 1e-2
+) -> Tensor:
+    """The affine that best explains displacements, by weighted least squares in closed form.
+
+    Args:
+        points_px: (N, 2).
+        displacements_px: Where each point should move, (B, N, 2).
+        weights: Trust in each point, (B, N), summing to 1.
+        stiffness: Pull towards a pure translation, relative to the points' spread, so that points on a line still
+            give a finite answer.
+
+    Returns:
+        A (B, 2, 3) with A @ (p, 1) close to p + displacement.
+    """
+    w = weights[..., None]
+    centre = (w * points_px).sum(dim=1, keepdim=True)  # (B, 1, 2)
+    shift = (w * displacements_px).sum(dim=1, keepdim=True)
+    arms = points_px - centre  # (B, N, 2)
+    spread = arms.transpose(1, 2) @ (w * arms)  # (B, 2, 2)
+    cross = (displacements_px - shift).transpose(1, 2) @ (w * arms)
+    a, b, d = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    ridge = stiffness * points_px.var(dim=0).mean()
+    a, d = a + ridge, d + ridge
+    inverse = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[:, None, None]
+    linear = cross @ inverse  # (B, 2, 2), the deviation from the identity
+    offset = shift - centre @ linear.transpose(1, 2)
+    deviation = torch.cat([linear, offset.transpose(1, 2)], dim=2)
+    return identity_affine(len(deviation), device=deviation.device, dtype=deviation.dtype) + deviation
+
+
+class Tower(nn.Module):
+    """Strided convolutions that turn full-resolution features into a pyramid at 1/2, 1/4, 1/8, ... resolution."""
+
+    def __init__(self, in_channels: int, widths: Sequence[int]) -> None:
+        super().__init__()
+        inputs = [in_channels, *widths[:-1]]
+        self.levels = nn.ModuleList(
+            nn.Sequential(conv_norm_gelu(i, o, stride=2), conv_norm_gelu(o, o))
+            for i, o in zip(inputs, widths, strict=True)
+        )
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, C, H, W) -> features at strides 2, 4, 8, ..."""
+        pyramid = []
+        for level in self.levels:
+            x = level(x)
+            pyramid.append(x)
+        return pyramid
+
+
+class Matcher(nn.Module):
+    """Looks for the displacement of each region, then summarises all of them by one affine.
+
+    A cell alone can't tell where it belongs: most lie on plain surfaces, or on an edge that may slide along itself. So
+    the evidence of all cells of a window is averaged before the best displacement is taken.
+
+    Args:
+        channels: Channels of both feature maps.
+        hidden: Width of the convolutions that read the correlation.
+        stride: Pixels of a cell.
+        radius: Largest displacement found, in cells.
+        window: Side of a region in cells, odd.
+    """
+
+    def __init__(self, channels: int, hidden: int, stride: int, radius: int, window: int) -> None:
+        super().__init__()
+        self.stride, self.radius, self.window = stride, radius, window
+        candidates = (2 * radius + 1) ** 2
+        self.read = nn.Sequential(
+            conv_norm_gelu(candidates + channels, hidden),
+            conv_norm_gelu(hidden, hidden),
+            nn.Conv2d(hidden, candidates + 1, 3, padding=1),
+        )
+        self.sharpness = nn.Parameter(torch.tensor(15.0))
+        side = torch.arange(-radius, radius + 1, dtype=torch.float32) * stride
+        dy, dx = torch.meshgrid(side, side, indexing="ij")
+        self.offsets_px: Tensor
+        self.register_buffer("offsets_px", torch.stack([dx, dy], dim=-1).reshape(-1, 2), persistent=False)
+
+    def forward(self, rgb: Tensor, depth: Tensor, affine: Tensor) -> tuple[Tensor, LocalMatches]:
+        """Improve `affine` (B, 2, 3), given features (B, C, h, w) of both images at this matcher's stride."""
+        affine = affine.detach()  # each matcher answers for its own step
+        size = depth.shape[-2:]
+        cells = pixel_grid(*size, device=depth.device, dtype=affine.dtype)
+        centres_px = cells * self.stride + (self.stride - 1) / 2  # of every cell, in full-resolution pixels
+        seen_px = transform_points(affine, centres_px.reshape(1, -1, 2).expand(len(affine), -1, -1))
+        seen_cells = (seen_px - (self.stride - 1) / 2) / self.stride
+        moving, _ = sample_at(rgb, seen_cells.unflatten(1, size).to(rgb.dtype))
+
+        correlation = local_correlation(depth, moving, self.radius)
+        evidence = self.read(torch.cat([3 * correlation, depth], dim=1))
+        evidence, trust = evidence.split([len(self.offsets_px), 1], dim=1)
+        scores = self.sharpness * self._pool(correlation + evidence / 3).flatten(2).transpose(1, 2).float()
+        weights = self._pool(trust).flatten(1).float().softmax(dim=-1)
+        points_px = self._pool(centres_px.permute(2, 0, 1)[None])[0].flatten(1).T
+        update = fit_affine(points_px, scores.softmax(dim=-1) @ self.offsets_px, weights)
+        return compose_affines(affine, update), LocalMatches(points_px, self.offsets_px, scores, affine)
+
+    def _pool(self, x: Tensor) -> Tensor:
+        """Means over windows that overlap by half; at the border, over what lies inside the image."""
+        return F.avg_pool2d(x, self.window, self.window // 2, self.window // 2, count_include_pad=False)
+
+
+class RegistrationNet(nn.Module):
+    """Spatial transformer whose localisation is coarse-to-fine matching of edge-like features.
+
+    One tower describes colour and depth alike; from coarse to fine, every region of the depth looks for itself in the
+    colour around it, and a least-squares fit turns those displacements into an affine. It is fully convolutional:
+    nothing depends on the image's size, unlike a fully connected localisation head (Jaderberg et al., NeurIPS 2015).
+
+    Args:
+        first_channels: Channels of each of the two first feature maps.
+        widths: Channels of the tower at strides 2, 4, 8, ...
+        hidden: Width of the convolutions that read the correlation.
+        matchers: Stride, radius in cells and window in cells of each matcher, coarsest first.
+    """
+
+    def __init__(
+        self,
+        first_channels: int,
+        widths: Sequence[int],
+        hidden: int,
+        matchers: Sequence[tuple[int, int, int]],
+    ) -> None:
+        super().__init__()
+        self.tower = Tower(first_channels + 2, widths)
+        strides = [2 ** (i + 1) for i in range(len(widths))]
+        self.level_of_matcher = [strides.index(stride) for stride, _, _ in matchers]
+        self.matchers = nn.ModuleList(
+            Matcher(widths[level], hidden, *matcher)
+            for level, matcher in zip(self.level_of_matcher, matchers, strict=True)
+        )
+        self.stride = strides[-1]
+
+    def forward(
+        self, rgb: Tensor, depth: Tensor, first_rgb: Tensor, first_depth: Tensor
+    ) -> tuple[Tensor, list[LocalMatches]]:
+        """Estimate the affine.
+
+        Args:
+            rgb: Colour in [0, 1], (B, 3, H, W), H and W multiples of `stride`.
+            depth: Filled depth, scaled to [0, 1], (B, 1, H, W).
+            first_rgb: First features of the colour, (B, C, H, W).
+            first_depth: First features of the depth, (B, C, H, W).
+
+        Returns:
+            `affine_rgb_from_depth` (B, 2, 3) in pixels, and what each matcher saw.
+        """
+        rgb_pyramid = self.tower(torch.cat([first_rgb, edge_strength(rgb)], dim=1))
+        depth_pyramid = self.tower(torch.cat([first_depth, edge_strength(depth)], dim=1))
+        affine = identity_affine(len(rgb), device=rgb.device)
+        matches = []
+        for level, matcher in zip(self.level_of_matcher, self.matchers, strict=True):
+            affine, seen = matcher(rgb_pyramid[level], depth_pyramid[level], affine)
+            matches.append(seen)
+        return affine, matches

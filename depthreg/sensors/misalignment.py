@@ -1,0 +1,76 @@
+"""Colour that doesn't line up with depth: random affines of a bounded corner shift, and the view that they give.
+
+All randomness is drawn on the CPU, so that a generator's seed gives the same measurement on every device.
+"""
+
+import torch
+from torch import Tensor
+
+from depthreg.geometry import corner_errors_px, identity_affine, invert_affine, warp_affine
+
+REFERENCE_WIDTH_PX = 1242  # shifts are stated for a KITTI image and scale with the width
+
+
+def random_affines(
+    count: int, size: tuple[int, int], max_corner_shift_px: float, generator: torch.Generator | None = None
+) -> Tensor:
+    """Random translations, rotations, scalings and shears, scaled to a chosen shift of the worst corner.
+
+    The largest corner shift of each affine is uniform in [0, `max_corner_shift_px`], and the mixture of the four kinds
+    is random.
+
+    Args:
+        count: How many.
+        size: Height and width of the image, pixels.
+        max_corner_shift_px: Largest distance that an image corner may move, >= 0.
+        generator: Source of randomness, on the CPU.
+
+    Returns:
+        `affine_rgb_from_depth`, (count, 2, 3), on the CPU.
+    """
+    height, width = size
+    radius = (
+        max(height, width) / 2
+    )  # a unit of rotation, scale or shear moves the far border about as much as a unit shift
+    kinds = torch.tensor(
+        [
+            [[0, 0, 1], [0, 0, 0]],  # translation along x
+            [[0, 0, 0], [0, 0, 1]],  # translation along y
+            [[0, -1, 0], [1, 0, 0]],  # rotation
+            [[1, 0, 0], [0, 1, 0]],  # scale
+            [[1, 0, 0], [0, -1, 0]],  # aspect (shear along the diagonals)
+            [[0, 1, 0], [1, 0, 0]],  # shear
+        ],
+        dtype=torch.float32,
+    )
+    kinds[2:] *= torch.tensor([1.0, 1.0, 0.25, 0.25])[:, None, None] / radius  # real rigs shear little
+    mixture = torch.rand(count, len(kinds), generator=generator) * 2 - 1
+    deviation = torch.einsum("bk,kij->bij", mixture, kinds)
+    to_centre = torch.tensor([(width - 1) / 2, (height - 1) / 2])
+    deviation[..., 2] -= deviation[..., :2] @ to_centre  # rotate and scale about the image's centre
+    identity = identity_affine(count)
+    worst_corner_px = corner_errors_px(identity + deviation, identity, size).amax(dim=-1)
+    wanted_px = torch.rand(count, generator=generator) * max_corner_shift_px
+    return identity + deviation * (wanted_px / worst_corner_px)[:, None, None]
+
+
+def misalign_rgb(rgb_with_margin: Tensor, affine_rgb_from_depth: Tensor, margin_px: int) -> Tensor:
+    """The colour that a misaligned camera would report.
+
+    Args:
+        rgb_with_margin: Colour on the depth's grid, with a margin on every side, (B, 3, H + 2M, W + 2M).
+        affine_rgb_from_depth: A (B, 2, 3): the result at A @ (x, y, 1) shows what the depth's grid has at (x, y).
+        margin_px: M; large enough for the corner shift, else black borders would give the answer away.
+
+    Returns:
+        (B, 3, H, W).
+    """
+    height, width = (side - 2 * margin_px for side in rgb_with_margin.shape[-2:])
+    depth_from_rgb = invert_affine(affine_rgb_from_depth)
+    into_margin = depth_from_rgb + depth_from_rgb.new_tensor([[0, 0, margin_px], [0, 0, margin_px]])
+    return warp_affine(rgb_with_margin, into_margin, (height, width))[0]
+
+
+def margin_for(max_corner_shift_px: float) -> int:
+    """The margin that a renderer has to leave for misalignments up to this corner shift, with a tenth to spare."""
+    return int(max_corner_shift_px * 1.1) + 2

@@ -1,0 +1,90 @@
+"""Turns a batch of perfect frames into what real instruments would report."""
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from depthreg.data.sample import FrameBatch, Measurement
+from depthreg.geometry import flip_affine, flip_intrinsics
+from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, random_affines
+
+
+class DepthSensor(Protocol):
+    """Any depth sensor: difficulty 0 reports the truth, 1 is the instrument at its worst."""
+
+    def __call__(
+        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """z-depth in metres, (B, 1, H, W); 0 where there is no return."""
+
+
+class SensorSimulator:
+    """Misaligns the colour and disturbs the depth, both by one difficulty in [0, 1]; 0 is the identity.
+
+    Args:
+        depth_sensor: What becomes of the depth.
+        max_corner_shift_px: Largest shift of an image corner at difficulty 1, for an image 1242 pixels wide; it scales
+            with the width. 0 leaves the colour aligned.
+    """
+
+    def __init__(self, depth_sensor: DepthSensor, max_corner_shift_px: float = 24.0) -> None:
+        self.depth_sensor = depth_sensor
+        self.max_corner_shift_px = max_corner_shift_px
+
+    def __call__(
+        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
+    ) -> Measurement:
+        """Simulate one measurement per frame; the generator lives on the CPU, whatever the frames' device."""
+        if not 0 <= difficulty <= 1:
+            raise ValueError(f"difficulty must be in [0, 1], got {difficulty}")
+        truth_m = frames["depth_m"]
+        batch, _, height, width = truth_m.shape
+        margin_px = (frames["rgb"].shape[-1] - width) // 2
+        rgb_with_margin = frames["rgb"].float() / 255
+        shift_px = difficulty * self.max_corner_shift_px * width / REFERENCE_WIDTH_PX
+        affine = random_affines(batch, (height, width), shift_px, generator).to(truth_m.device)
+        truth_rgb = rgb_with_margin[..., margin_px : margin_px + height, margin_px : margin_px + width]
+        return Measurement(
+            rgb=misalign_rgb(rgb_with_margin, affine, margin_px) if shift_px else truth_rgb,
+            depth_m=self.depth_sensor(frames, difficulty, generator),
+            intrinsics=frames["intrinsics"],
+            truth_depth_m=truth_m,
+            truth_rgb=truth_rgb,
+            truth_affine_rgb_from_depth=affine,
+        )
+
+
+def simulate_each(
+    simulator: SensorSimulator, frames: FrameBatch, difficulty: float, seed: int
+) -> Measurement:
+    """Simulate every frame with a generator of its own, seeded by (seed, index): independent of the batch it is in."""
+    singles = []
+    for i, index in enumerate(frames["index"].tolist()):
+        single = FrameBatch(**{key: value[i : i + 1] for key, value in frames.items()})  # type: ignore[typeddict-item]
+        singles.append(simulator(single, difficulty, seeded_generator(seed, index)))
+    return Measurement(**{key: torch.cat([single[key] for single in singles]) for key in singles[0]})  # type: ignore[literal-required, typeddict-item]
+
+
+def seeded_generator(*numbers: int) -> torch.Generator:
+    """A CPU generator whose stream is a function of all the numbers."""
+    state = np.random.SeedSequence(numbers).generate_state(2, np.uint64)
+    return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
+
+
+def augment(measurement: Measurement, generator: torch.Generator, brightness: float = 0.2) -> Measurement:
+    """Mirror each sample left to right with probability one half, and scale its brightness by up to +-`brightness`."""
+    out = Measurement(**measurement)
+    batch, _, _, width = measurement["rgb"].shape
+    device = measurement["rgb"].device
+    mirrored = (torch.rand(batch, generator=generator) < 0.5).to(device)[:, None, None]
+    gain = 1 + brightness * (2 * torch.rand(batch, 1, 1, 1, generator=generator) - 1).to(device)
+    for key in ("rgb", "depth_m", "truth_depth_m", "truth_rgb"):
+        out[key] = torch.where(mirrored[..., None], measurement[key].flip(-1), measurement[key])
+    for key in ("rgb", "truth_rgb"):
+        out[key] = (out[key] * gain).clamp(max=1)
+    affine, intrinsics = measurement["truth_affine_rgb_from_depth"], measurement["intrinsics"]
+    out["truth_affine_rgb_from_depth"] = torch.where(mirrored, flip_affine(affine, width), affine)
+    out["intrinsics"] = torch.where(mirrored, flip_intrinsics(intrinsics, width), intrinsics)
+    return out

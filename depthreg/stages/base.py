@@ -1,0 +1,119 @@
+"""What the three stages share: one network, one step, one way to measure."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, cast
+
+import lightning as L
+import torch
+from torch import Tensor, nn
+
+from depthreg.data.sample import FrameBatch, Measurement
+from depthreg.losses import JointLoss
+from depthreg.metrics import DepthMetrics, RegistrationMetrics
+from depthreg.networks import JointNetwork, JointOutput
+from depthreg.sensors.simulator import SensorSimulator, augment, seeded_generator, simulate_each
+
+
+class Stage(L.LightningModule):
+    """One stage of the curriculum: trains the shared network on measurements of one difficulty an epoch.
+
+    Validation always measures at `val_difficulty`, with draws seeded by the sample, so that its figures can be compared
+    between epochs, batch sizes and machines.
+
+    Args:
+        network: The joint network, shared by all stages.
+        loss: The training loss.
+        simulator: Turns frames into measurements on the device.
+        learning_rate: Adam's.
+        weight_decay: Adam's.
+        lr_milestones: Shares of the stage's epochs after which the learning rate is divided by `lr_divisor`.
+        lr_divisor: See `lr_milestones`.
+        brightness: Largest relative change of brightness in training.
+        val_difficulty: Difficulty of validation, in [0, 1].
+        seed: First number of every random draw.
+    """
+
+    name: str  # of the stage; part of the seed, the folder and the log
+    difficulty: float = 0.0  # of training, in [0, 1]; set by the difficulty callback each epoch
+
+    def __init__(
+        self,
+        network: JointNetwork,
+        loss: JointLoss,
+        simulator: SensorSimulator,
+        learning_rate: float,
+        weight_decay: float = 1e-5,
+        lr_milestones: Sequence[float] = (),
+        lr_divisor: float = 3.0,
+        brightness: float = 0.2,
+        val_difficulty: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.network, self.loss, self.simulator = network, loss, simulator
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.lr_milestones, self.lr_divisor = tuple(lr_milestones), lr_divisor
+        self.brightness, self.val_difficulty, self.seed = brightness, val_difficulty, seed
+        self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
+
+    def frozen_modules(self, epoch: int) -> Iterable[nn.Module]:
+        """Parts of the network that don't learn in this epoch; a function of the epoch alone, so a resume needs no memory."""
+        raise NotImplementedError
+
+    def on_after_batch_transfer(self, batch: FrameBatch | Measurement, dataloader_idx: int) -> Measurement:
+        """Simulate sensors on the device; a batch that is measured already passes through."""
+        if "lidar" not in batch:
+            return cast(Measurement, batch)
+        frames = cast(FrameBatch, batch)
+        if not self.trainer.training:
+            return simulate_each(self.simulator, frames, self.val_difficulty, self.seed)
+        generator = seeded_generator(
+            self.seed, *self.name.encode(), self.trainer.global_step, self.trainer.global_rank
+        )
+        return augment(self.simulator(frames, self.difficulty, generator), generator, self.brightness)
+
+    def _step(self, batch: Measurement, split: str) -> tuple[JointOutput, Tensor]:
+        output = self.network(batch["rgb"], batch["depth_m"])
+        losses = self.loss(output, batch)
+        logs = {
+            f"{split}/loss" if name == "total" else f"{split}/{name}_loss": value
+            for name, value in losses.items()
+        }
+        self.log_dict(logs, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
+        return output, losses["total"]
+
+    def training_step(self, batch: Measurement, batch_idx: int) -> Tensor:
+        """The loss of a batch."""
+        _, loss = self._step(batch, "train")
+        self.log(
+            "train/difficulty", self.difficulty, on_step=False, on_epoch=True, batch_size=len(batch["rgb"])
+        )
+        return loss
+
+    def validation_step(self, batch: Measurement, batch_idx: int) -> None:
+        """Add a batch to the epoch's metrics."""
+        output, _ = self._step(batch, "val")
+        self.depth_metrics.update(output.depth_m, batch["truth_depth_m"])
+        height, width = batch["rgb"].shape[-2:]
+        truth = batch["truth_affine_rgb_from_depth"]
+        self.registration_metrics.update(output.affine_rgb_from_depth, truth, (height, width))
+
+    def on_validation_epoch_end(self) -> None:
+        """Log depth and registration metrics over all validation frames."""
+        for metrics in (self.depth_metrics, self.registration_metrics):
+            self.log_dict({f"val/{name}": value for name, value in metrics.compute().items()})
+            metrics.reset()
+
+    def configure_optimizers(self) -> dict[str, Any]:
+        """Adam over every parameter: frozen ones have no gradient, so it leaves them alone."""
+        optimizer = torch.optim.Adam(
+            self.network.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
+        )
+        epochs = self.trainer.max_epochs or 1
+        milestones = [round(share * epochs) for share in self.lr_milestones]
+        scheduler = torch.optim.lr_scheduler.MultiStepLR(optimizer, milestones, gamma=1 / self.lr_divisor)
+        return {"optimizer": optimizer, "lr_scheduler": scheduler}
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Record which network and stage these weights belong to."""
+        checkpoint["depthreg"] = {"network": self.network.config, "stage": self.name}

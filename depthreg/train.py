@@ -1,0 +1,197 @@
+"""`depthreg train`: walk the curriculum, each stage starting from the last one's weights."""
+
+import logging
+import os
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import torch
+import wandb
+from hydra.core.hydra_config import HydraConfig
+from hydra.utils import instantiate
+from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
+from lightning.pytorch.loggers import Logger
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from depthreg.callbacks import DifficultyRamp
+from depthreg.checkpoint import load_weights, read_checkpoint
+from depthreg.config import require_counts, run_application
+from depthreg.data.datamodule import SyntheticDataModule
+from depthreg.data.synthetic import SyntheticMeasurements
+from depthreg.errors import InputError
+from depthreg.evaluate import evaluate
+from depthreg.networks import JointNetwork
+from depthreg.report import Results, rich_table, write_report
+from depthreg.sensors import SensorSimulator
+from depthreg.stages import Stage
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run `depthreg train OVERRIDES`."""
+    return run_application("train", run, argv, check)
+
+
+def check(config: DictConfig) -> None:
+    """Refuse what can't be meant, before any work.
+
+    Raises:
+        InputError: In one sentence.
+    """
+    counts = [
+        "data.train_count",
+        "data.val_count",
+        "data.batch_size",
+        *(f"stages.{name}.epochs" for name in config.stages),
+    ]
+    require_counts(config, counts)
+    require_counts(config, ["data.workers"], at_least=0)
+    require_counts(config, ["data.width", "data.height"], at_least=64)
+    if config.data.name != "synthetic":
+        raise InputError(
+            f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected data=synthetic"
+        )
+    if config.data.train_count < config.data.batch_size:
+        raise InputError(
+            f"data.train_count={config.data.train_count}: expected at least one batch of {config.data.batch_size}"
+        )
+    if config.resume and config.init_from:
+        raise InputError(
+            "resume and init_from exclude each other: resume takes everything, init_from the weights only"
+        )
+    if config.init_from:
+        load_weights(instantiate(config.model), Path(config.init_from))
+    if config.resume:
+        load_weights(instantiate(config.model), Path(config.resume))
+        _resumed_stage(config)
+
+
+def _resumed_stage(config: DictConfig) -> str:
+    stage = read_checkpoint(Path(config.resume))["depthreg"]["stage"]
+    if stage not in config.stages:
+        raise InputError(
+            f"resume={config.resume} is of stage {stage}: expected one of {', '.join(config.stages)}"
+        )
+    return stage
+
+
+def _quieten() -> None:
+    """Silence what Lightning and wandb say about a run that is as it should be."""
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", module="lightning", message=".*(exists and is not empty|logging interval|num_workers|LeafSpec).*")
+    warnings.filterwarnings("ignore", message=".*overridden `on_after_batch_transfer`.*")  # on purpose: the simulator is there
+    os.environ.setdefault("WANDB_SILENT", "true")
+
+
+def run(config: DictConfig) -> float:
+    """Train the stages, evaluate, draw; returns the last stage's validation RMSE in metres, for sweeps."""
+    out = Path(HydraConfig.get().runtime.output_dir).resolve()
+    _quieten()
+    L.seed_everything(config.seed, workers=True, verbose=False)
+    network: JointNetwork = instantiate(config.model)
+    names = list(config.stages)
+    if config.resume:
+        load_weights(network, Path(config.resume))
+        names = names[names.index(_resumed_stage(config)) :]
+    elif config.init_from:
+        load_weights(network, Path(config.init_from))
+    for i, name in enumerate(names):
+        train_stage(config, name, network, out / name, resume=config.resume if i == 0 else None)
+    results = evaluate_stage(config, names[-1], network, out)
+    console = Console()
+    console.print(rich_table(results, f"{config.data.val_count} synthetic frames never trained on"))
+    console.print(f"run      {out}\npictures {out / 'panels'}", soft_wrap=True)
+    return results["depth, misaligned"]["ours"]["rmse_m"]
+
+
+def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[Stage, SyntheticDataModule]:
+    """The module and the data of one stage, from the composed configuration."""
+    stage, data = config.stages[name], config.data
+    module = instantiate(
+        stage.module,
+        network=network,
+        loss=instantiate(config.loss),
+        simulator=_simulator(stage),
+        seed=config.seed,
+    )
+    datamodule = SyntheticDataModule(
+        world=instantiate(stage.world),
+        camera=instantiate(data.camera, _convert_="all"),
+        scan=instantiate(data.scan),
+        train_count=data.train_count,
+        val_count=data.val_count,
+        batch_size=data.batch_size,
+        workers=data.workers,
+        seed=config.seed,
+        cache_dir=data.cache_dir,
+    )
+    return module, datamodule
+
+
+def _simulator(stage: DictConfig) -> SensorSimulator:
+    return SensorSimulator(instantiate(stage.sensor), stage.max_corner_shift_px)
+
+
+def train_stage(
+    config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None
+) -> None:
+    """Fit one stage; its checkpoints, logs and pictures go to `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    module, datamodule = build_stage(config, name, network)
+    callbacks = [instantiate(callback) for callback in config.callbacks.values() if callback]
+    trainer = L.Trainer(
+        **config.trainer,
+        max_epochs=config.stages[name].epochs,
+        default_root_dir=folder,
+        callbacks=[
+            *callbacks,
+            DifficultyRamp(**config.stages[name].difficulty),
+            *_checkpoints(folder),
+            RichProgressBar(),
+        ],
+        logger=_loggers(config, name, folder),
+    )
+    try:
+        trainer.fit(module, datamodule, ckpt_path=resume, weights_only=True)
+    finally:
+        wandb.finish()  # else the next stage would write into this stage's run
+
+
+def _checkpoints(folder: Path) -> list[ModelCheckpoint]:
+    """The newest and the best weights; `=` in a name would break Hydra overrides."""
+    last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)
+    best = ModelCheckpoint(
+        folder, filename="best", monitor="val/loss", enable_version_counter=False, save_weights_only=True
+    )
+    return [last, best]
+
+
+def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
+    places: dict[str, dict[str, Any]] = {
+        "csv": {"save_dir": folder},
+        "wandb": {
+            "save_dir": folder,
+            "name": name,
+            "group": folder.parent.name,
+            "config": OmegaConf.to_container(config, resolve=True),
+        },
+    }
+    chosen = {key: logger for key, logger in (config.logger or {}).items() if logger}
+    return [instantiate(logger, _partial_=True)(**places[key]) for key, logger in chosen.items()]
+
+
+def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> Results:
+    """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`."""
+    module, datamodule = build_stage(config, name, network)
+    frames = SyntheticMeasurements(
+        datamodule.val_frames, module.simulator, module.val_difficulty, config.seed
+    )
+    panels = out / "panels"
+    panels.mkdir(exist_ok=True)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    results = evaluate(network.to(device), frames, panel_dir=panels)
+    write_report(results, out)
+    return results

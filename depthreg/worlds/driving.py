@@ -1,0 +1,94 @@
+"""Streets as a car's camera and LiDAR see them: city, suburb, country road and motorway."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from depthreg.worlds import poses, street_layout
+from depthreg.worlds.scene import Light, Scene
+from depthreg.worlds.street import Street
+from depthreg.worlds.street_layout import StreetStyle
+
+STYLES: dict[str, StreetStyle] = {
+    "city": StreetStyle(
+        lane_m=3.1, parking_m=2.2, pavement_m=2.8, verge_m=0.0, houses=0.93, storeys=(3, 5), house_gap_m=1.5,
+        tree_gap_m=28, traffic_gap_m=26, people=9, max_curvature=1 / 500,
+    ),
+    "suburb": StreetStyle(
+        lane_m=3.0, parking_m=2.0, pavement_m=1.8, verge_m=0.5, houses=0.75, storeys=(1, 3), house_gap_m=9,
+        front_m=(2, 8), fence=0.7, tree_gap_m=26, wood=0.25, traffic_gap_m=60, people=4, max_curvature=1 / 250,
+    ),
+    "country": StreetStyle(
+        lane_m=3.3, verge_m=2.5, houses=0.06, storeys=(1, 2), front_m=(6, 20), tree_gap_m=60, wood=0.7, belts=0.5,
+        traffic_gap_m=70, max_curvature=1 / 220,
+    ),
+    "motorway": StreetStyle(
+        lanes=2, lane_m=3.7, verge_m=5.0, tree_gap_m=400, wood=0.6, belts=0.8, rails=True, traffic_gap_m=38,
+        max_curvature=1 / 800,
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DrivingWorld:
+    """Streets: `DrivingWorld()(seed, index)` draws one, the same for the same two numbers.
+
+    Attributes:
+        styles: Which kinds of street to draw from, keys of `STYLES`.
+        camera_up_m: Height of the camera above the road.
+        ahead_m: How far ahead things stand; a shorter street is quicker to build and to render.
+    """
+
+    styles: tuple[str, ...] = tuple(STYLES)
+    camera_up_m: float = 1.65
+    ahead_m: float = 240.0
+
+    def __call__(self, seed: int, index: int) -> Scene:
+        """Draw the street of a seed and an index."""
+        rng = np.random.default_rng([seed, index])
+        style = STYLES[self.styles[rng.integers(len(self.styles))]]
+        street = Street.winding(
+            curvature_per_m=rng.uniform(-1, 1) * style.max_curvature,
+            bend_m=rng.uniform(40, 150),
+            slope=rng.normal(0, 0.012),
+            behind_m=-25.0,
+            ahead_m=self.ahead_m,
+        )
+        lane = int(rng.integers(style.lanes))
+        objects = [
+            *street_layout.roadway(rng, street, style),
+            *street_layout.roadside(rng, street, style),
+            street_layout.backdrop(rng, street),
+            *street_layout.traffic(rng, street, style, lane),
+            *street_layout.houses(rng, street, style),
+            *street_layout.greenery(rng, street, style),
+            *street_layout.furniture(rng, street, style),
+            *street_layout.people(rng, street, style),
+        ]
+        right = (lane + 0.5) * style.lane_m + rng.normal(0, 0.2)
+        x, y, z = street.stand(0.0, right, self.camera_up_m + rng.normal(0, 0.04))[0]
+        yaw, pitch, roll = rng.normal(0, [1.5, 0.7, 0.4])
+        return Scene(objects, _weather(rng), poses.camera_from_world((x, y, z), yaw, pitch, roll), poses.lidar_from_camera())
+
+
+def _weather(rng: np.random.Generator) -> Light:
+    """Sun or an overcast sky, clear air or haze; the exposure suits the light."""
+    elevation, azimuth = np.deg2rad(rng.uniform(22, 65)), rng.uniform(0, 2 * np.pi)
+    sun = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+    overcast = rng.random() < 0.3
+    strength = rng.uniform(0.05, 0.5) if overcast else rng.uniform(1.6, 2.4)
+    warm = np.array([1.0, 0.93, 0.82]) if elevation > 0.6 else np.array([1.0, 0.86, 0.68])
+    ambient = np.array([0.85, 0.9, 0.95]) if overcast else np.array([0.25, 0.32, 0.43])
+    horizon = np.array([1.3, 1.35, 1.4]) if overcast else np.array([0.8, 0.93, 1.05])
+    zenith = np.array([0.9, 0.95, 1.0]) if overcast else np.array([0.22, 0.42, 0.78])
+    level = strength * np.sin(elevation) + ambient.mean()
+    return Light(
+        sun_direction=sun,
+        sun_rgb=tuple((strength * warm).tolist()),
+        ambient_rgb=tuple(ambient.tolist()),
+        sky_horizon_rgb=tuple(horizon.tolist()),
+        sky_zenith_rgb=tuple(zenith.tolist()),
+        cloud_cover=float(rng.uniform(0.7, 1) if overcast else rng.uniform(0, 0.6)),
+        fog_per_m=float(rng.choice([0.0002, 0.0006, 0.0016], p=[0.5, 0.4, 0.1])),
+        exposure=float(1.6 / level * np.exp(rng.normal(0, 0.15))),
+    )

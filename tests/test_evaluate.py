@@ -1,0 +1,157 @@
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from depthreg import evaluate as module
+from depthreg.errors import InputError
+from depthreg.evaluate import ALIGNED, MISALIGNED, OURS, REGISTRATION, evaluate, misalign
+from depthreg.geometry import identity_affine
+from depthreg.networks import JointOutput
+
+SIZE = (117, 163)
+SHIFT_PX = 60.0  # for 1242 px of width, so about 8 px here
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def ramps(height, width):
+    """An image whose red and green tell where a pixel came from; bilinear sampling keeps ramps exact."""
+    y, x = torch.meshgrid(torch.arange(height) / height, torch.arange(width) / width, indexing="ij")
+    return torch.stack([x, y, torch.full_like(x, 0.5)])
+
+
+def real_frame(seed=0, size=SIZE):
+    """A frame that lines up, as a data set of real frames gives it."""
+    depth_m = 2 + 20 * torch.rand(1, *size, generator=generator(seed))
+    rgb = torch.from_numpy(cv2.GaussianBlur(depth_m[0].numpy(), (0, 0), 3) / 30)[None].repeat(3, 1, 1)
+    sparse_m = depth_m * (torch.rand(depth_m.shape, generator=generator(seed + 1)) < 0.3)
+    K = torch.tensor([[80.0, 0, 81], [0, 80, 58], [0, 0, 1]])
+    return {"name": "frame", "rgb": rgb, "depth_m": sparse_m, "truth_depth_m": depth_m, "intrinsics": K}
+
+
+def simulated_frame(shift_px=(3.0, 4.0)):
+    """A frame that brings its own misalignment, as the simulator gives it."""
+    frame = real_frame()
+    affine = identity_affine(1)[0]
+    affine[:, 2] = torch.tensor(shift_px)
+    return {**frame, "truth_rgb": frame["rgb"], "truth_affine_rgb_from_depth": affine}
+
+
+class Oracle(torch.nn.Module):
+    """Answers with the truth of the one frame that it is asked about."""
+
+    def __init__(self, frame, error_m=0.0):
+        super().__init__()
+        self.weight = torch.nn.Parameter(torch.zeros(1))
+        self.depth_m = frame["truth_depth_m"][None] + error_m
+        self.affine = frame.get("truth_affine_rgb_from_depth", torch.eye(2, 3))[None]
+
+    def forward(self, rgb, depth_m):
+        rows, columns = ((ours - asked) // 2 for ours, asked in zip(SIZE, depth_m.shape[-2:], strict=True))
+        inner = self.depth_m[..., rows : SIZE[0] - rows, columns : SIZE[1] - columns]
+        return JointOutput(inner, rgb, self.affine, matches=[])
+
+
+def test_a_misaligned_frame_shows_at_a_of_x_what_the_depth_has_at_x():
+    height, width = SIZE
+    out = misalign({"rgb": ramps(*SIZE)[None], "depth_m": torch.ones(1, 1, *SIZE)}, SHIFT_PX, generator())
+    margin_px = (height - out["rgb"].shape[-2]) // 2
+    x, y = 60, 40
+    u, v = (out["truth_affine_rgb_from_depth"][0] @ torch.tensor([x, y, 1.0])).tolist()
+    patch = cv2.getRectSubPix(out["rgb"][0].permute(1, 2, 0).numpy(), (1, 1), (u, v))[0, 0]
+    assert abs(u - x) + abs(v - y) > 0.5
+    np.testing.assert_allclose(patch[:2], [(x + margin_px) / width, (y + margin_px) / height], atol=1e-3)
+    np.testing.assert_array_equal(out["truth_rgb"][0, :, y, x], ramps(*SIZE)[:, y + margin_px, x + margin_px])
+
+
+def test_a_misaligned_frame_has_no_black_border():
+    for seed in range(20):
+        frame = {"rgb": torch.ones(1, 3, *SIZE), "depth_m": torch.ones(1, 1, *SIZE)}
+        assert misalign(frame, SHIFT_PX, generator(seed))["rgb"].min() > 0.999
+
+
+def test_everything_follows_the_crop():
+    frame = {key: value[None] for key, value in real_frame().items() if key != "name"}
+    frame["depth_m"] = frame["truth_depth_m"]
+    out = misalign(frame, SHIFT_PX, generator())
+    margin_px = (SIZE[0] - out["depth_m"].shape[-2]) // 2
+    assert margin_px > 0
+    assert out["depth_m"][0, 0, 5, 7] == frame["depth_m"][0, 0, 5 + margin_px, 7 + margin_px]
+    np.testing.assert_array_equal(out["depth_m"], out["truth_depth_m"])
+    # A point in space keeps its place on the sensor, which is now counted from the crop's corner.
+    point = torch.tensor([0.3, -0.2, 2.0])
+    before, after = (k[0] @ point / 2 for k in (frame["intrinsics"], out["intrinsics"]))
+    np.testing.assert_allclose(before - after, [margin_px, margin_px, 0], atol=1e-4)
+
+
+def test_a_frame_that_is_too_small_is_named():
+    frame = {"rgb": torch.ones(1, 3, 66, 90), "depth_m": torch.ones(1, 1, 66, 90), "name": ["tiny"]}
+    with pytest.raises(InputError, match="tiny is 90x66"):
+        misalign(frame, SHIFT_PX, generator())
+
+
+def test_the_truth_scores_perfectly_and_the_identity_is_off_by_the_shift():
+    frame = simulated_frame(shift_px=(3.0, 4.0))
+    results = evaluate(Oracle(frame), [frame])
+    assert results[ALIGNED][OURS]["rmse_m"] == results[MISALIGNED][OURS]["rmse_m"] == 0
+    assert results[REGISTRATION][OURS]["corner_error_px"] == 0
+    assert results[REGISTRATION][OURS]["share_under_1px"] == 1
+    assert results[REGISTRATION]["identity"]["corner_error_px"] == pytest.approx(5)
+
+
+def test_a_constant_error_is_the_rmse():
+    frame = real_frame()
+    results = evaluate(Oracle(frame, error_m=0.25), [frame], max_corner_shift_px=SHIFT_PX)
+    assert results[ALIGNED][OURS]["rmse_m"] == pytest.approx(0.25, rel=1e-4)
+    assert results[MISALIGNED][OURS]["mae_m"] == pytest.approx(0.25, rel=1e-4)
+
+
+def test_baselines_see_what_the_network_sees():
+    frame = {**real_frame(), "depth_m": real_frame()["truth_depth_m"]}  # nothing is left to complete
+    results = evaluate(Oracle(frame), [frame], max_corner_shift_px=SHIFT_PX)
+    for task in (ALIGNED, MISALIGNED):
+        assert results[task]["nearest"]["rmse_m"] == 0
+
+
+def test_the_identity_is_right_where_nothing_is_misaligned():
+    frame = real_frame()
+    results = evaluate(Oracle(frame), [frame], max_corner_shift_px=0.0)
+    assert results[REGISTRATION]["identity"]["corner_error_px"] == 0
+    assert results[REGISTRATION]["identity"]["ssim"] == pytest.approx(1, abs=1e-5)
+
+
+def test_scores_do_not_depend_on_what_else_is_evaluated():
+    frame = real_frame()
+    first, second = (
+        evaluate(Oracle(frame), frames, max_corner_shift_px=SHIFT_PX)
+        for frames in ([frame], [frame, simulated_frame()])
+    )
+    one, both = (r[REGISTRATION]["identity"]["corner_error_px"] for r in (first, second))
+    assert both == pytest.approx((one + 5) / 2)
+
+
+def test_without_truth_the_depth_scores_are_unknown_and_registration_is_scored():
+    frame = real_frame()
+    blind = {key: value for key, value in frame.items() if key not in ("truth_depth_m", "intrinsics")}
+    results = evaluate(Oracle(frame), [blind], max_corner_shift_px=SHIFT_PX)
+    assert np.isnan(results[ALIGNED]["nearest"]["rmse_m"])
+    assert results[REGISTRATION]["identity"]["corner_error_px"] > 0
+
+
+def test_a_method_without_an_answer_counts_as_the_identity(monkeypatch):
+    monkeypatch.setattr(module, "registration_baselines", lambda: {"mute": lambda rgb, depth_m: None})
+    frame = simulated_frame()
+    mute = evaluate(Oracle(frame), [frame])[REGISTRATION]["mute"]
+    assert mute["no_answer"] == 1
+    assert mute["corner_error_px"] == pytest.approx(5)
+
+
+def test_pictures_are_written_for_the_first_frames(tmp_path):
+    frame = real_frame()
+    evaluate(Oracle(frame), [frame] * 3, panel_dir=tmp_path, panels=2)
+    pictures = sorted(tmp_path.iterdir())
+    assert [path.name for path in pictures] == ["000000.png", "000001.png"]
+    assert cv2.imread(str(pictures[0])).std() > 10
