@@ -1,6 +1,7 @@
 """Hydra configuration: where it lies, how an application starts, and which values can't go together."""
 
 import difflib
+import functools
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -45,7 +46,19 @@ def run_application(
         if check:
             check(config)
     sys.argv = [f"depthreg {name}", *argv]
-    hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name=name)(task)()
+    refused: list[InputError] = []
+
+    @functools.wraps(task)
+    def guarded(config: DictConfig) -> Any:
+        try:
+            return task(config)
+        except InputError as error:  # Hydra would print a traceback and exit with 1
+            refused.append(error)
+            return None
+
+    hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name=name)(guarded)()
+    if refused:
+        raise refused[0]
     return 0
 
 

@@ -58,11 +58,10 @@ def check(config: DictConfig) -> None:
     if missing:
         raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")
     require_counts(config, ["limit", "data.val_count"])
-    require_counts(config, ["panels"], at_least=0)
-    if not config.max_corner_shift_px >= 0:
-        raise InputError(f"max_corner_shift_px={config.max_corner_shift_px}: expected 0 or more")
-    if not 0 <= config.difficulty <= 1:
-        raise InputError(f"difficulty={config.difficulty}: expected a number from 0 to 1")
+    require_counts(config, ["panels", "seed"], at_least=0)
+    for key, limit in {"max_corner_shift_px": 200, "difficulty": 1}.items():
+        if not isinstance(config[key], int | float) or not 0 <= config[key] <= limit:
+            raise InputError(f"{key}={config[key]}: expected a number from 0 to {limit}")
     load_network(Path(config.checkpoint))
     dataset = build_dataset(config)
     if config.data.name != "synthetic":  # every file is tried before anything is written
@@ -84,10 +83,10 @@ def run(config: DictConfig) -> float:
         panels=config.panels,
     )
     write_report(results, out)
+    source = config.data.get("root", "unseen synthetic scenes")
+    total = len(cast(Any, dataset.dataset))
     console = Console()
-    console.print(
-        rich_table(results, f"{len(dataset)} frames of {config.data.get('root', 'synthetic scenes')}")
-    )
+    console.print(rich_table(results, f"{len(dataset)} of {total} frames of {source}"))
     console.print(f"table    {out / 'metrics.md'}\npictures {out / 'panels'}", soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
 
@@ -99,11 +98,12 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
     if data.name == "synthetic":
         frames = SyntheticFrames(
             instantiate(config.world),
-            instantiate(data.camera, _convert_="all"),
+            instantiate(data.camera, max_corner_shift_px=config.max_corner_shift_px, _convert_="all"),
             instantiate(data.scan),
-            config.seed + VALIDATION_SEED_OFFSET,
-            data.val_count,
-            Path(data.cache_dir) if data.cache_dir else None,
+            seed=config.seed + VALIDATION_SEED_OFFSET,
+            count=data.val_count,
+            max_depth_m=data.max_depth_m,
+            cache_dir=Path(data.cache_dir) if data.cache_dir else None,
         )
         simulator = SensorSimulator(instantiate(config.sensor), config.max_corner_shift_px)
         dataset = SyntheticMeasurements(frames, simulator, config.difficulty, config.seed)

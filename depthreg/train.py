@@ -23,7 +23,7 @@ from depthreg.config import require_counts, run_application
 from depthreg.data.datamodule import SyntheticDataModule
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
-from depthreg.evaluate import evaluate
+from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
 from depthreg.sensors import SensorSimulator
@@ -81,8 +81,14 @@ def _resumed_stage(config: DictConfig) -> str:
 def _quieten() -> None:
     """Silence what Lightning and wandb say about a run that is as it should be."""
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    warnings.filterwarnings("ignore", module="lightning", message=".*(exists and is not empty|logging interval|num_workers|LeafSpec).*")
-    warnings.filterwarnings("ignore", message=".*overridden `on_after_batch_transfer`.*")  # on purpose: the simulator is there
+    warnings.filterwarnings(
+        "ignore",
+        module="lightning",
+        message=".*(exists and is not empty|logging interval|num_workers|LeafSpec|eval mode).*",
+    )
+    warnings.filterwarnings(
+        "ignore", message=".*overridden `on_after_batch_transfer`.*"
+    )  # on purpose: the simulator is there
     os.environ.setdefault("WANDB_SILENT", "true")
 
 
@@ -104,7 +110,7 @@ def run(config: DictConfig) -> float:
     console = Console()
     console.print(rich_table(results, f"{config.data.val_count} synthetic frames never trained on"))
     console.print(f"run      {out}\npictures {out / 'panels'}", soft_wrap=True)
-    return results["depth, misaligned"]["ours"]["rmse_m"]
+    return results[MISALIGNED][OURS]["rmse_m"]
 
 
 def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[Stage, SyntheticDataModule]:
@@ -126,6 +132,7 @@ def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[S
         batch_size=data.batch_size,
         workers=data.workers,
         seed=config.seed,
+        max_depth_m=data.max_depth_m,
         cache_dir=data.cache_dir,
     )
     return module, datamodule

@@ -1,13 +1,17 @@
+import csv
+import sys
+
 import cv2
 import numpy as np
 import pytest
 import torch
 
 from depthreg import evaluate as module
+from depthreg.cli import main
 from depthreg.errors import InputError
 from depthreg.evaluate import ALIGNED, MISALIGNED, OURS, REGISTRATION, evaluate, misalign
 from depthreg.geometry import identity_affine
-from depthreg.networks import JointOutput
+from depthreg.networks import JointNetwork, JointOutput
 
 SIZE = (117, 163)
 SHIFT_PX = 60.0  # for 1242 px of width, so about 8 px here
@@ -123,6 +127,32 @@ def test_the_identity_is_right_where_nothing_is_misaligned():
     assert results[REGISTRATION]["identity"]["ssim"] == pytest.approx(1, abs=1e-5)
 
 
+def test_depth_is_completed_with_both_the_true_and_the_misaligned_colour():
+    class Brightness(Oracle):
+        def forward(self, rgb, depth_m):
+            return super().forward(rgb, depth_m)._replace(depth_m=self.depth_m + rgb.mean())
+
+    frame = simulated_frame()
+    frame["truth_rgb"], frame["rgb"] = (
+        torch.full_like(frame["rgb"], 0.25),
+        torch.full_like(frame["rgb"], 0.75),
+    )
+    results = evaluate(Brightness(frame), [frame])
+    assert results[ALIGNED][OURS]["mae_m"] == pytest.approx(0.25, rel=1e-4)
+    assert results[MISALIGNED][OURS]["mae_m"] == pytest.approx(0.75, rel=1e-4)
+
+
+def test_each_frame_and_each_seed_has_a_misalignment_of_its_own():
+    frame = real_frame()
+    shifts_px = [
+        evaluate(Oracle(frame), [frame] * count, max_corner_shift_px=SHIFT_PX, seed=seed)
+        for count, seed in ((1, 0), (1, 0), (2, 0), (1, 1))
+    ]
+    again, same, two, other = (r[REGISTRATION]["identity"]["corner_error_px"] for r in shifts_px)
+    assert again == same
+    assert len({again, two, other}) == 3
+
+
 def test_scores_do_not_depend_on_what_else_is_evaluated():
     frame = real_frame()
     first, second = (
@@ -155,3 +185,65 @@ def test_pictures_are_written_for_the_first_frames(tmp_path):
     pictures = sorted(tmp_path.iterdir())
     assert [path.name for path in pictures] == ["000000.png", "000001.png"]
     assert cv2.imread(str(pictures[0])).std() > 10
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working folder with a checkpoint of a tiny untrained network and a folder of two pairs."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["depthreg"])  # Hydra reads it, so the command sets it
+    network = JointNetwork(first_channels=8, completion_widths=(16, 16, 16, 16))
+    state = {f"network.{key}": value for key, value in network.state_dict().items()}
+    torch.save({"depthreg": {"network": network.config, "stage": "full"}, "state_dict": state}, "net.ckpt")
+    for folder in ("image", "depth", "truth"):
+        (tmp_path / "pairs" / folder).mkdir(parents=True)
+        for seed, stem in enumerate(["a", "b"]):
+            channels, kind = ((3,), np.uint8) if folder == "image" else ((), np.uint16)
+            values = np.random.default_rng(seed).integers(1, 256, (*SIZE, *channels)).astype(kind)
+            cv2.imwrite(str(tmp_path / "pairs" / folder / f"{stem}.png"), values)
+    return tmp_path
+
+
+FOLDER = ["checkpoint=net.ckpt", "data=folder", "data.root=pairs", "data.depth_scale=10"]
+
+
+def test_the_command_prints_and_writes_one_table(here, capsys):
+    assert main(["evaluate", *FOLDER, "panels=1"]) == 0
+    (run,) = (here / "runs").iterdir()
+    rows = list(csv.DictReader((run / "metrics.csv").open()))
+    assert {row["task"] for row in rows} == {ALIGNED, MISALIGNED, REGISTRATION}
+    assert float(rows[0]["nearest"]) == 0  # the pairs' depth is dense, and equals their truth
+    assert "| depth, aligned | RMSE (m) |" in (run / "metrics.md").read_text()
+    assert len(list((run / "panels").iterdir())) == 1
+    printed = capsys.readouterr().out
+    assert "2 of 2 frames of pairs" in printed and str(run / "metrics.md") in printed
+
+
+def test_the_command_scores_synthetic_frames(here, capsys):
+    size = ["data.width=96", "data.height=64", "data.camera.focal_px=[60,60]"]
+    assert (
+        main(["evaluate", "checkpoint=net.ckpt", "data=synthetic", "data.val_count=3", "limit=2", *size]) == 0
+    )
+    assert "2 of 3 frames of unseen synthetic scenes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("overrides", "complaint"),
+    [
+        (FOLDER[1:], "checkpoint is missing"),
+        (FOLDER[:-1], "data.depth_scale is missing"),
+        ([*FOLDER, "limit=0"], "limit=0"),
+        ([*FOLDER, "max_corner_shift_px=-1"], "max_corner_shift_px=-1"),
+        ([*FOLDER, "difficulty=2"], "difficulty=2"),
+        ([*FOLDER, "max_corner_shift_px=much"], "max_corner_shift_px=much"),
+        ([*FOLDER[:-1], "data.depth_scale=mm"], "depth_scale=mm"),
+        ([*FOLDER, "data.truth=elsewhere/*.png"], "pairs holds no elsewhere/*.png"),
+        (["checkpoint=net.ckpt", "data=kitti", "data.root=pairs"], "isn't a KITTI depth folder"),
+        ([*FOLDER, "data.depth=image/*"], "one depth channel"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing_behind(here, capsys, overrides, complaint):
+    assert main(["evaluate", *overrides]) == 2
+    message = capsys.readouterr().err.strip().splitlines()[-1]
+    assert message.startswith("depthreg evaluate: ") and complaint in message
+    assert not (here / "runs").exists()

@@ -26,6 +26,7 @@ class SyntheticDataModule(L.LightningDataModule):
         batch_size: Frames a step.
         workers: Processes that render or load.
         seed: Seed of the training frames.
+        max_depth_m: Depth beyond this is unknown.
         cache_dir: Folder that keeps rendered frames; None renders each time.
     """
 
@@ -39,13 +40,14 @@ class SyntheticDataModule(L.LightningDataModule):
         batch_size: int,
         workers: int = 2,
         seed: int = 0,
+        max_depth_m: float = 120.0,
         cache_dir: str | None = None,
     ) -> None:
         super().__init__()
         cache = Path(cache_dir) if cache_dir else None
-        self.train_frames = SyntheticFrames(world, camera, scan, seed, train_count, cache)
+        self.train_frames = SyntheticFrames(world, camera, scan, seed, train_count, max_depth_m, cache)
         self.val_frames = SyntheticFrames(
-            world, camera, scan, seed + VALIDATION_SEED_OFFSET, val_count, cache
+            world, camera, scan, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache
         )
         self.options: dict[str, Any] = {
             "batch_size": batch_size,

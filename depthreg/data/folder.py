@@ -63,7 +63,7 @@ class FolderDataset(Dataset[dict[str, Any]]):
             as they are there, where not given.
 
     Raises:
-        InputError: A pattern that matches nothing, or a file without its partner.
+        InputError: A pattern that matches nothing, a file without its partner, or a senseless scale.
     """
 
     def __init__(
@@ -75,6 +75,10 @@ class FolderDataset(Dataset[dict[str, Any]]):
         truth: str | None = None,
         intrinsics: str | None = None,
     ) -> None:
+        if not isinstance(depth_scale, int | float) or not depth_scale > 0:
+            raise InputError(
+                f"depth_scale={depth_scale}: expected a positive number of stored units per metre"
+            )
         self.root, self.depth_scale = Path(root), depth_scale
         self.images, self.depths = self._need(image), self._need(depth)
         self.truths = self._need(truth) if truth else match_files(self.root, "truth/*")

@@ -59,6 +59,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         scan: The LiDAR's pattern; None where no LiDAR is wanted.
         seed: First number of every scene; training and validation take different ones.
         count: How many frames.
+        max_depth_m: Depth beyond this is unknown (0), as beyond any scanner's range.
         cache_dir: Folder that keeps rendered frames; None renders each time.
     """
 
@@ -69,10 +70,12 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         scan: ScanPattern | None,
         seed: int,
         count: int,
+        max_depth_m: float,
         cache_dir: Path | None = None,
     ) -> None:
         self.world, self.camera, self.scan, self.seed, self.count = world, camera, scan, seed, count
-        recipe = repr((world, camera, scan, seed)).encode() + _code_of("worlds", "rendering")
+        self.max_depth_m = max_depth_m
+        recipe = repr((world, camera, scan, seed, max_depth_m)).encode() + _code_of("worlds", "rendering")
         self.folder = cache_dir / hashlib.sha256(recipe).hexdigest()[:16] if cache_dir else None
 
     def __len__(self) -> int:
@@ -88,12 +91,22 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         if not 0 <= index < self.count:
             raise IndexError(index)
         if self.folder is None:
-            return {**_pack(self.frame(index)), "index": index}
+            return {**self._pack(self.frame(index)), "index": index}
         path = self.folder / f"{index:06d}.npz"
         if not path.exists():
-            _save_whole(path, _pack(self.frame(index)))
+            _save_whole(path, self._pack(self.frame(index)))
         with np.load(path) as arrays:
             return {**{key: arrays[key] for key in arrays.files}, "index": index}
+
+    def _pack(self, frame: Frame) -> dict[str, np.ndarray]:
+        lidar = frame.lidar
+        columns = (lidar.uv_px, lidar.depth_m, lidar.range_m, lidar.cos_incidence, lidar.albedo, lidar.ring)
+        return {
+            "rgb": frame.rgb,
+            "depth_m": np.where(frame.depth_m > self.max_depth_m, 0, frame.depth_m),
+            "intrinsics": frame.intrinsics,
+            "lidar": np.column_stack(columns).astype(np.float32),
+        }
 
 
 def _code_of(*packages: str) -> bytes:
@@ -102,17 +115,6 @@ def _code_of(*packages: str) -> bytes:
     return b"".join(
         path.read_bytes() for package in packages for path in sorted((root / package).glob("*.py"))
     )
-
-
-def _pack(frame: Frame) -> dict[str, np.ndarray]:
-    lidar = frame.lidar
-    columns = (lidar.uv_px, lidar.depth_m, lidar.range_m, lidar.cos_incidence, lidar.albedo, lidar.ring)
-    return {
-        "rgb": frame.rgb,
-        "depth_m": frame.depth_m,
-        "intrinsics": frame.intrinsics,
-        "lidar": np.column_stack(columns).astype(np.float32),
-    }
 
 
 def _save_whole(path: Path, arrays: dict[str, np.ndarray]) -> None:

@@ -62,23 +62,23 @@ def _look(
         position: Where the camera is, (3,), relative to the surfaces' origin.
         margin_px: How far to look beyond the frame.
     """
-    rays = camera.rays(margin_px + _BORDER_PX) @ rotation.T
-    shape = rays.shape[:2]
-    depth_per_m = 1 / np.linalg.norm(rays, axis=-1).ravel()
-    rays = rays.reshape(-1, 3) * depth_per_m[:, None]
-    linear = np.empty((3, len(rays)), np.float32)
-    depth_m = np.zeros(len(rays), np.float32)
-    face = np.full(len(rays), -1, np.int32)
-    for start in range(0, len(rays), _RAYS_AT_ONCE):
+    pixels = camera.rays(margin_px + _BORDER_PX)
+    shape = pixels.shape[:2]
+    pixels = pixels.reshape(-1, 3)
+    linear = np.empty((3, len(pixels)), np.float32)
+    depth_m = np.zeros(len(pixels), np.float32)
+    face = np.full(len(pixels), -1, np.int32)
+    for start in range(0, len(pixels), _RAYS_AT_ONCE):
         part = slice(start, start + _RAYS_AT_ONCE)
-        hits = surfaces.cast(position, rays[part])
-        seen = np.zeros(len(rays[part]), bool)
-        seen[hits.ray] = True
-        empty = np.flatnonzero(~seen)
-        linear[:, part][:, empty] = sky(light, rays[part].take(empty, axis=0).T)
-        linear[:, part][:, hits.ray] = shade(surfaces, light, hits, 1 / camera.focal_px)
-        depth_m[part][hits.ray] = hits.range_m * depth_per_m[part].take(hits.ray)
+        rays = pixels[part] @ rotation.T
+        depth_per_m = 1 / np.sqrt(np.einsum("nk,nk->n", rays, rays))
+        rays *= depth_per_m[:, None]
+        hits = surfaces.cast(position, rays)
         face[part][hits.ray] = hits.face
+        depth_m[part][hits.ray] = hits.range_m * depth_per_m.take(hits.ray)
+        linear[:, part][:, hits.ray] = shade(surfaces, light, hits, 1 / camera.focal_px)
+        missed = np.flatnonzero(face[part] < 0)
+        linear[:, part][:, missed] = sky(light, rays.take(missed, axis=0).T)
     far = depth_m > _SKY_BEYOND_M
     depth_m[far], face[far] = 0, -1
     inner = np.s_[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX]

@@ -142,7 +142,8 @@ def roadside(rng: np.random.Generator, street: Street, style: StreetStyle) -> li
         edge = style.border_m
         verge = [(inner, up - 0.01), (inner + 0.3 * style.verge_m, up + 0.03), (edge, up)]
         objects.append(_swept("verge", street, verge, grass, side=side))
-        objects.append(_swept("land", street, [(edge, up), (edge + 8, up + bank), (30, up + bank), (60, up + bank + 0.4), (110, up + bank + 1)], land, side=side))
+        field = [(edge, up), (edge + 8, up + bank), (45, up + bank + 0.3), (110, up + bank + 1)]
+        objects.append(_swept("land", street, field, land, side=side))
     return objects
 
 
@@ -290,7 +291,7 @@ def _planted(
     if abs(at[0]) > at[1] + 12:
         return []
     away_m = np.hypot(at[0], at[1])
-    detail = 2 if away_m < 18 else 1 if away_m < 45 else 0
+    detail = int(np.searchsorted([-100, -42, -17], -away_m))
     return assemble(make.__name__, make(rng, detail), at)
 
 

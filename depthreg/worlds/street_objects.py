@@ -127,26 +127,29 @@ def _leaves(seed: int, count: int, size: float, blobs: int, droop: float) -> tri
     """
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.18, 0.28, blobs) if blobs > 1 else np.array([0.47])
-    direction = rng.standard_normal((blobs, 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    center = direction * (0.48 - radius)[:, None] * rng.uniform(0.55, 1, (blobs, 1))
-    which = rng.choice(blobs, count, p=radius**2 / (radius**2).sum())
-    outward = rng.standard_normal((count, 3))
-    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
-    middle = center[which] + outward * (radius[which] * rng.uniform(0.75, 1.08, count))[:, None]
+    center = _unit(rng.standard_normal((blobs, 3))) * (0.48 - radius)[:, None] * rng.uniform(0.55, 1, (blobs, 1))
+    which = rng.choice(blobs, 4 * count, p=radius**2 / (radius**2).sum())
+    outward = _unit(rng.standard_normal((4 * count, 3)))
+    middle = center[which] + outward * (radius[which] * rng.uniform(0.75, 1.08, 4 * count))[:, None]
+    # Nobody sees the leaves inside other blobs.
+    outside = (np.linalg.norm(middle[:, None] - center, axis=2) > 0.74 * radius).all(axis=1)
+    middle, outward = middle[outside][:count], outward[outside][:count]
     # Leaves lie roughly along their shell: two axes across the outward direction, shaken.
-    across = np.cross(outward, rng.standard_normal((count, 3)))
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    along = np.cross(outward, across) + 0.5 * outward * rng.standard_normal((count, 1))
-    reach = size * rng.uniform(0.6, 1.4, (count, 1))
-    corners = np.stack([middle + reach * along, middle + reach * (across - 0.5 * along), middle - reach * (across + 0.5 * along)], 1)
-    corners = corners.reshape(-1, 3) + (0, 0, 0.5)
+    across = _unit(np.cross(outward, rng.standard_normal(outward.shape)))
+    along = np.cross(outward, across) + 0.5 * outward * rng.standard_normal((len(outward), 1))
+    reach = size * rng.uniform(0.6, 1.4, (len(outward), 1))
+    offsets = along, across - 0.5 * along, -across - 0.5 * along
+    corners = np.stack([middle + reach * offset for offset in offsets], axis=1).reshape(-1, 3) + (0, 0, 0.5)
     corners[:, :2] *= (1 - droop * (1.6 * corners[:, 2:] - 0.6)).clip(0.05)
-    return trimesh.Trimesh(corners, np.arange(3 * count).reshape(-1, 3), process=False)
+    return trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 CROWNS = 5  # different crowns of each kind
-LEAF_DETAIL = ((200, 0.09), (800, 0.047), (3200, 0.024))  # far, middle, near: how many leaves, how big
+LEAF_DETAIL = ((60, 0.15), (170, 0.09), (700, 0.045), (2600, 0.024))  # from far to near: how many leaves, how big
 BODIES = {"hatchback": (-0.42, 0.12), "saloon": (-0.22, 0.14), "estate": (-0.46, 0.14), "van": (-0.49, 0.3)}
 
 SHAPES |= {
@@ -163,9 +166,9 @@ SHAPES |= {
     **{f"{name}_cabin": partial(_cabin, *top) for name, top in BODIES.items()},
     **{f"{name}_roof": partial(_roof, *top) for name, top in BODIES.items()},
     **{
-        f"{kind}{detail}{n}": partial(_leaves, n, count, size, blobs, droop)
+        f"{kind}{detail}{n}": partial(_leaves, n, int(share * count), size / share**0.5, blobs, droop)
         for n in range(CROWNS)
-        for kind, blobs, droop in (("crown", 14, 0.0), ("conifer", 1, 0.95), ("bush", 6, 0.0))
+        for kind, share, blobs, droop in (("crown", 1.0, 14, 0.0), ("conifer", 0.7, 1, 0.95), ("bush", 0.4, 6, 0.0))
         for detail, (count, size) in enumerate(LEAF_DETAIL)
     },
 }
@@ -270,7 +273,7 @@ def bush(rng: np.random.Generator, detail: int) -> list[Part]:
     leaf = Material(color, "foliage", second, 1.5, seed=int(rng.integers(99)), variation=0.4)
     tall = rng.uniform(0.7, 2.2)
     wide = tall * rng.uniform(0.9, 1.5)
-    crown = f"bush{min(detail, 1)}{rng.integers(CROWNS)}"
+    crown = f"bush{min(detail, 2)}{rng.integers(CROWNS)}"
     return [Part(crown, (wide, wide, tall), (0, 0, -0.08 * tall), leaf, rng.uniform(0, 360))]
 
 

@@ -1,0 +1,39 @@
+# For a fresh machine with Python and make: each target makes .venv and installs depthreg into it first, where needed.
+PYTHON ?= python3
+ARGS ?=
+BIN := .venv/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help install train test lint wheel clean
+
+help:  ## say what there is
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@echo 'ARGS="..." goes to the command of train and test; PYTHON=... chooses the Python of a new .venv.'
+
+install: .venv/installed  ## make .venv and install depthreg with everything that its tests need
+
+# Changed requirements are installed into the .venv that is there.
+.venv/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
+		{ echo "make: $(PYTHON) is not a Python from 3.11 to 3.13: name one with PYTHON=..." >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install -c constraints.txt torch  # a line of its own: the largest download, and the one with builds to choose from
+	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
+	@touch $@
+
+train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's overrides, such as ARGS="preset=paper"
+	$(BIN)/depthreg train $(ARGS)
+
+test: install  ## run the tests
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: install  ## check style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+wheel: install  ## build the wheel and the source archive into dist/
+	$(BIN)/python -m build --no-isolation
+
+clean:  ## remove what was installed and built; runs/ stays
+	rm -rf .venv dist .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,108 @@
+"""How long a frame takes on one core, part by part, beside trimesh's own ray interface on the same rays.
+
+    python benchmarks/rendering.py --json rendering.json
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import trimesh
+from rich.console import Console
+from rich.table import Table
+from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+from depthreg.rendering import Camera, hdl64, render_frame
+from depthreg.rendering.surfaces import merge
+from depthreg.worlds import DrivingWorld
+from depthreg.worlds.driving import STYLES
+
+CAMERAS = {
+    "1242x375": Camera(1242, 375, 721.5, margin_px=32),
+    "384x128": Camera(384, 128, 223.0, margin_px=12),
+}
+
+
+def cpu_ms(action: Callable[[], object], repeats: int) -> float:
+    """The least CPU time of some runs, in milliseconds: other processes disturb it least."""
+    times = []
+    for _ in range(repeats):
+        start = time.process_time()
+        action()
+        times.append(time.process_time() - start)
+    return 1000 * min(times)
+
+
+def measure_frame(style: str, camera: Camera, repeats: int) -> dict[str, float]:
+    """Milliseconds of each part of a frame of one street."""
+    world, scan = DrivingWorld(styles=(style,)), hdl64()
+    scene = world(0, 1)
+    origin = np.linalg.inv(scene.camera_from_world)[:3, 3]
+    left = cpu_ms(lambda: render_frame(scene, camera, None, right=False), repeats)
+    both = cpu_ms(lambda: render_frame(scene, camera, None), repeats)
+    whole = cpu_ms(lambda: render_frame(scene, camera, scan), repeats)
+    build, tree = cpu_ms(lambda: world(0, 1), repeats), cpu_ms(lambda: merge(scene, origin), repeats)
+    return {
+        "faces": sum(len(o.mesh.faces) for o in scene.objects),
+        "build scene": build,
+        "merge, tree": tree,
+        "left view": left - tree,
+        "right view": both - left,
+        "LiDAR": whole - both,
+        "render_frame": whole,
+        "all": build + whole,
+        "frames/s": 1000 / (build + whole),
+    }
+
+
+def measure_rival(style: str, camera: Camera, repeats: int) -> dict[str, float]:
+    """Milliseconds for the first hits (point, face) of all camera rays: ours and trimesh's interface to Embree."""
+    scene = DrivingWorld(styles=(style,))(0, 1)
+    pose = np.linalg.inv(scene.camera_from_world)
+    rays = camera.rays(camera.margin_px).reshape(-1, 3) @ pose[:3, :3].T.astype(np.float32)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    surfaces = merge(scene, pose[:3, 3])
+    origins = np.broadcast_to(pose[:3, 3], rays.shape)
+    rival = RayMeshIntersector(trimesh.util.concatenate([o.mesh for o in scene.objects]))
+    rival.intersects_location(origins[:1], rays[:1], multiple_hits=False)  # builds its tree
+    ours = cpu_ms(lambda: surfaces.cast(np.zeros(3), rays), repeats)
+    theirs = cpu_ms(lambda: rival.intersects_location(origins, rays, multiple_hits=False), repeats)
+    return {"rays": len(rays), "depthreg": ours, "trimesh": theirs, "ratio": theirs / ours}
+
+
+def print_table(title: str, rows: dict[str, dict[str, float]]) -> None:
+    """Print one row a key."""
+    table = Table("", *next(iter(rows.values())), title=title)
+    for name, row in rows.items():
+        table.add_row(name, *(f"{value:.1f}" if value < 1000 else f"{value:.0f}" for value in row.values()))
+    Console().print(table)
+
+
+def main() -> None:
+    """Measure, print, and write what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--repeats", type=int, default=5, help="runs of each part; the quickest counts")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    results = {}
+    for size, camera in CAMERAS.items():
+        frames = {style: measure_frame(style, camera, arguments.repeats) for style in STYLES}
+        frames["mean"] = {key: float(np.mean([row[key] for row in frames.values()])) for key in frames["city"]}
+        rivals = {style: measure_rival(style, camera, arguments.repeats) for style in STYLES}
+        print_table(f"One {size} frame with a margin of {camera.margin_px} px, CPU ms on one core", frames)
+        print_table(f"First hits of all its camera rays, CPU ms on one core, {size}", rivals)
+        results[size] = {"frames": frames, "first_hits": rivals}
+    if arguments.json:
+        arguments.json.write_text(json.dumps(results, indent=2))
+
+
+if __name__ == "__main__":
+    main()
