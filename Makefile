@@ -12,12 +12,12 @@ help:  ## say what there is
 
 install: .venv/installed  ## make .venv and install depthreg with everything that its tests need
 
-# Changed requirements are installed into the .venv that is there.
+# Changed requirements are installed into the .venv that is there. PyTorch comes first: the longest download by far.
 .venv/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \
 		{ echo "make: $(PYTHON) is not a Python from 3.11 to 3.13: name one with PYTHON=..." >&2; exit 1; }
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -c constraints.txt torch  # a line of its own: the largest download, and the one with builds to choose from
+	$(BIN)/python -m pip install -c constraints.txt torch
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
 	@touch $@
 

@@ -23,13 +23,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     try:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
-        raise InputError(
-            f"{path} is not a readable checkpoint: expected one that `depthreg train` wrote"
-        ) from error
-    if not isinstance(checkpoint, dict) or "depthreg" not in checkpoint:
-        raise InputError(
-            f"{path} is a checkpoint of another program: expected one that `depthreg train` wrote"
-        )
+        raise InputError(f"{path} is not a readable checkpoint: expected one that `depthreg train` wrote") from error
+    if not isinstance(checkpoint, dict) or "network" not in checkpoint.get("depthreg", {}):
+        raise InputError(f"{path} is a checkpoint of another program: expected one that `depthreg train` wrote")
     return checkpoint
 
 
@@ -67,6 +63,7 @@ def load_weights(network: JointNetwork, path: Path) -> None:
     if different:
         key = different[0]
         raise InputError(
-            f"{path} is a checkpoint of another model: expected {key}={network.config.get(key)}, it has {key}={theirs.get(key)}"
+            f"{path} is a checkpoint of another model: expected {key}={network.config.get(key)}, "
+            f"it has {key}={theirs.get(key)}"
         )
     network.load_state_dict(_weights(checkpoint))

@@ -17,18 +17,17 @@ COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
 
 def usage() -> str:
     """What `depthreg --help` prints."""
-    lines = [f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items()]
-    return "\n".join(
-        [
-            "usage: depthreg COMMAND ...",
-            "",
-            "Align colour with sparse depth and complete the depth.",
-            "",
-            "commands:",
-        ]
-        + lines
-        + ["", "options:", "  --help     `depthreg COMMAND --help` says more", "  --version"]
-    )
+    commands = "\n".join(f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items())
+    return f"""usage: depthreg COMMAND ...
+
+Align colour with sparse depth and complete the depth.
+
+commands:
+{commands}
+
+options:
+  --help     `depthreg COMMAND --help` says more
+  --version"""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -41,9 +41,7 @@ def main(argv: Sequence[str]) -> int:
     intrinsics = None if args.intrinsics is None else io.read_intrinsics(args.intrinsics)
     device = _choose_device(args.device)
     if args.checkpoint is None:
-        raise InputError(
-            "--checkpoint is required, since no weights are released yet: `depthreg train` makes one"
-        )
+        raise InputError("--checkpoint is required, since no weights are released yet: `depthreg train` makes one")
     for pair in pairs:
         read_pair(pair, args.depth_scale)
     network = load_network(args.checkpoint).to(device).eval()
@@ -55,9 +53,7 @@ def main(argv: Sequence[str]) -> int:
             start = time.perf_counter()
             output = complete(network, sample["rgb"], sample["depth_m"])
             seconds = time.perf_counter() - start
-            write_results(
-                folder / pair.stem if args.rgb.is_dir() else folder, sample, output, args.depth_scale
-            )
+            write_results(folder / pair.stem if args.rgb.is_dir() else folder, sample, output, args.depth_scale)
             facts.append({"seconds": seconds, **_describe(sample["depth_m"], output)})
     Console().print(_summary(facts, args.out, args.depth_scale))
     return 0
@@ -107,9 +103,7 @@ def _choose_device(name: str | None) -> torch.device:
         device = torch.device(name or ("cuda" if torch.cuda.is_available() else "cpu"))
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:  # PyTorch without CUDA asserts
-        raise InputError(
-            f"--device {name} can't be used here: cpu, or a GPU of this machine, was expected"
-        ) from error
+        raise InputError(f"--device {name} can't be used here: cpu, or a GPU of this machine, was expected") from error
     return device
 
 
@@ -130,9 +124,7 @@ def find_pairs(rgb: Path, depth: Path) -> list[Pair]:
     ):
         alone = [path for stem, path in ours.items() if stem not in others]
         if alone:
-            raise InputError(
-                f"{alone[0]} has no partner of the same name in {other_folder} ({len(alone)} without one)"
-            )
+            raise InputError(f"{alone[0]} has no partner of the same name in {other_folder} ({len(alone)} without one)")
     return [Pair(stem, path, depth_of_stem[stem]) for stem, path in sorted(rgb_of_stem.items())]
 
 
@@ -143,9 +135,7 @@ def _by_stem(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         if path.stem in found:
-            raise InputError(
-                f"{found[path.stem]} and {path} have one name: one file of each name was expected"
-            )
+            raise InputError(f"{found[path.stem]} and {path} have one name: one file of each name was expected")
         found[path.stem] = path
     if not found:
         raise InputError(f"{folder} holds no file of a known kind: {', '.join(suffixes)} were expected")

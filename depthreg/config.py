@@ -73,7 +73,7 @@ def compose_config(name: str, overrides: Sequence[str] = ()) -> DictConfig:
         try:
             config = compose(name, overrides=list(overrides))
             OmegaConf.to_container(config, resolve=True)
-        except (HydraException, OmegaConfBaseException) as error:
+        except (HydraException, OmegaConfBaseException, ValueError) as error:
             raise InputError(_explain(error, name)) from error
     return config
 

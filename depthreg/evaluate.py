@@ -171,9 +171,7 @@ class Scores:
     def __init__(self) -> None:
         self.depth: dict[tuple[str, str], DepthMetrics] = defaultdict(DepthMetrics)
         self.registration: dict[tuple[str, str], RegistrationMetrics] = defaultdict(RegistrationMetrics)
-        self.means: dict[tuple[str, str], dict[str, MeanMetric]] = defaultdict(
-            lambda: defaultdict(MeanMetric)
-        )
+        self.means: dict[tuple[str, str], dict[str, MeanMetric]] = defaultdict(lambda: defaultdict(MeanMetric))
 
     def score_depth(self, task: str, sample: Measurement, output: JointOutput, seconds: float) -> None:
         """Score a batch of one, that the network completed in `seconds`, and the baselines on it."""
@@ -188,9 +186,7 @@ class Scores:
         rgb, depth_m = to_picture(sample["rgb"][0]), sample["depth_m"][0, 0].numpy()
         for method, register in registration_baselines().items():
             affine, seconds = _timed(register, rgb, depth_m)
-            self._add_affine(
-                method, sample, None if affine is None else torch.from_numpy(affine)[None], seconds
-            )
+            self._add_affine(method, sample, None if affine is None else torch.from_numpy(affine)[None], seconds)
 
     def _add_depth(self, task: str, method: str, sample: Measurement, pred_m: Tensor, seconds: float) -> None:
         truth_m = sample.get("truth_depth_m", torch.zeros_like(pred_m))
@@ -214,9 +210,7 @@ class Scores:
         table: dict[str, dict[str, dict[str, float]]] = defaultdict(dict)
         for (task, method), metric in {**self.depth, **self.registration}.items():
             means = {name: mean.compute() for name, mean in self.means[task, method].items()}
-            table[task][method] = {
-                name: float(value) for name, value in {**metric.compute(), **means}.items()
-            }
+            table[task][method] = {name: float(value) for name, value in {**metric.compute(), **means}.items()}
         return table
 
 

@@ -10,9 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def identity_affine(
-    batch: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None
-) -> Tensor:
+def identity_affine(batch: int, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> Tensor:
     """The affine that leaves every pixel where it is, (B, 2, 3)."""
     return torch.eye(2, 3, device=device, dtype=dtype).expand(batch, 2, 3).contiguous()
 
@@ -64,9 +62,7 @@ def sample_at(image: Tensor, xy_px: Tensor) -> tuple[Tensor, Tensor]:
     """
     height, width = image.shape[-2:]
     last = xy_px.new_tensor([width - 1, height - 1])
-    samples = F.grid_sample(
-        image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True
-    )
+    samples = F.grid_sample(image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True)
     # A thousandth of a pixel forgives rounding at the border of an identity warp.
     inside = ((xy_px >= -1e-3) & (xy_px <= last + 1e-3)).all(dim=-1)[:, None]
     return samples, inside
@@ -107,7 +103,7 @@ def corner_errors_px(affine: Tensor, other: Tensor, size: tuple[int, int]) -> Te
 
 
 def decompose_affine(affine: Tensor, size: tuple[int, int]) -> dict[str, Tensor]:
-    """What an affine does, in words: `translation_px` of the image's centre (..., 2), `rotation_deg`, `scale` and `shear`.
+    """What an affine does: `translation_px` of the image's centre (..., 2), `rotation_deg`, `scale` and `shear`.
 
     The 2x2 part is rotation @ [[scale_x, shear], [0, scale_y]]; `scale` is the root of its determinant.
     """

@@ -41,9 +41,7 @@ class JointLoss(nn.Module):
     def forward(self, output: JointOutput, measurement: Measurement) -> dict[str, Tensor]:
         """The terms, unweighted, and their weighted sum as `total`; a term of weight 0 is left out."""
         terms = {
-            name: getattr(self, f"_{name}")(output, measurement)
-            for name, weight in self.weights.items()
-            if weight
+            name: getattr(self, f"_{name}")(output, measurement) for name, weight in self.weights.items() if weight
         }
         return {"total": sum(self.weights[name] * term for name, term in terms.items()), **terms}
 

@@ -81,9 +81,7 @@ def render_gallery(
     names = [f"{index:06d}" for index in range(count)]
     with io.atomic_folder(out_dir) as folder:
         overview = []
-        for index, name in track(
-            list(enumerate(names)), "Rendering", console=Console(stderr=True), transient=True
-        ):
+        for index, name in track(list(enumerate(names)), "Rendering", console=Console(stderr=True), transient=True):
             frame = render_frame(world(seed, index), camera, scan)
             write_frame(folder / name, frame)
             height = round(_OVERVIEW_WIDTH_PX * camera.height / camera.width)

@@ -48,7 +48,7 @@ def check(config: DictConfig) -> None:
         *(f"stages.{name}.epochs" for name in config.stages),
     ]
     require_counts(config, counts)
-    require_counts(config, ["data.workers"], at_least=0)
+    require_counts(config, ["seed", "data.workers"], at_least=0)
     require_counts(config, ["data.width", "data.height"], at_least=64)
     if config.data.name != "synthetic":
         raise InputError(
@@ -59,9 +59,7 @@ def check(config: DictConfig) -> None:
             f"data.train_count={config.data.train_count}: expected at least one batch of {config.data.batch_size}"
         )
     if config.resume and config.init_from:
-        raise InputError(
-            "resume and init_from exclude each other: resume takes everything, init_from the weights only"
-        )
+        raise InputError("resume and init_from exclude each other: resume takes everything, init_from the weights only")
     if config.init_from:
         load_weights(instantiate(config.model), Path(config.init_from))
     if config.resume:
@@ -72,9 +70,7 @@ def check(config: DictConfig) -> None:
 def _resumed_stage(config: DictConfig) -> str:
     stage = read_checkpoint(Path(config.resume))["depthreg"]["stage"]
     if stage not in config.stages:
-        raise InputError(
-            f"resume={config.resume} is of stage {stage}: expected one of {', '.join(config.stages)}"
-        )
+        raise InputError(f"resume={config.resume} is of stage {stage}: expected one of {', '.join(config.stages)}")
     return stage
 
 
@@ -142,9 +138,7 @@ def _simulator(stage: DictConfig) -> SensorSimulator:
     return SensorSimulator(instantiate(stage.sensor), stage.max_corner_shift_px)
 
 
-def train_stage(
-    config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None
-) -> None:
+def train_stage(config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None) -> None:
     """Fit one stage; its checkpoints, logs and pictures go to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     module, datamodule = build_stage(config, name, network)
@@ -193,9 +187,7 @@ def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
 def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> Results:
     """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`."""
     module, datamodule = build_stage(config, name, network)
-    frames = SyntheticMeasurements(
-        datamodule.val_frames, module.simulator, module.val_difficulty, config.seed
-    )
+    frames = SyntheticMeasurements(datamodule.val_frames, module.simulator, module.val_difficulty, config.seed)
     panels = out / "panels"
     panels.mkdir(exist_ok=True)
     device = "cuda" if torch.cuda.is_available() else "cpu"

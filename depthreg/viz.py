@@ -50,9 +50,7 @@ def color_bar(colors: np.ndarray, ticks_m: np.ndarray) -> np.ndarray:
     """A vertical scale beside a picture: its `colors` (H, 3) from top to bottom, and evenly spaced ticks."""
     height = len(colors)
     font_px = 10 + height // 50
-    labels = [
-        np.format_float_positional(tick, precision=2, fractional=False, trim="-") + " m" for tick in ticks_m
-    ]
+    labels = [np.format_float_positional(tick, precision=2, fractional=False, trim="-") + " m" for tick in ticks_m]
     width = font_px + 12 + max(_text_width(label, font_px) for label in labels)
     bar = np.full((height, width, 3), _BACKGROUND, np.uint8)
     bar[:, 4 : 4 + font_px] = colors[:, None]
@@ -94,13 +92,9 @@ def depth_edges(depth_m: np.ndarray, relative_jump: float = 0.07) -> np.ndarray:
     On a plane, inverse depth is linear in the pixel position: it equals the mean around it, however steep.
     """
     inverse = _inverse(depth_m)
-    above_mean = (
-        inverse - cv2.blur(inverse, (5, 5)) > 0.4 * relative_jump * inverse
-    )  # 2 of 5 columns are beyond
+    above_mean = inverse - cv2.blur(inverse, (5, 5)) > 0.4 * relative_jump * inverse  # 2 of 5 columns are beyond
     at_the_drop = cv2.erode(inverse, np.ones((3, 3), np.uint8)) < (1 - relative_jump / 2) * inverse
-    known = cv2.erode(
-        np.uint8(depth_m > 0), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0
-    )
+    known = cv2.erode(np.uint8(depth_m > 0), np.ones((5, 5), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0)
     return above_mean & at_the_drop & (known > 0)
 
 

@@ -155,3 +155,12 @@ def test_unprojection_agrees_with_kornia_and_is_undone_by_projection() -> None:
     uv, back_m = geometry.project(points.flatten(1, 2), K)
     torch.testing.assert_close(uv, geometry.pixel_grid(*SIZE).reshape(1, -1, 2).expand(2, -1, -1).float())
     torch.testing.assert_close(back_m, depth_m.flatten(1))
+
+
+def test_mixed_precision_does_not_round_pixel_positions() -> None:
+    ramp = torch.arange(601.0).expand(1, 1, 3, 601) / 600  # bfloat16 would only know every fourth pixel there
+    affine = torch.tensor([[[0.9, 0.0, 21.3], [0, 1, 0]]])
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        warped, _ = geometry.warp_affine(ramp, geometry.compose_affines(affine, geometry.identity_affine(1)))
+    expected = (0.9 * torch.arange(601.0) + 21.3) / 600
+    torch.testing.assert_close(warped[0, 0, 1].float(), expected, atol=1e-4, rtol=0)

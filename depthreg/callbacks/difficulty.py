@@ -16,9 +16,7 @@ class DifficultyRamp(L.Callback):
 
     def __init__(self, start: float = 0.1, end: float = 1.0, ramp_share: float = 0.7) -> None:
         if not (0 <= start <= 1 and 0 <= end <= 1 and 0 < ramp_share <= 1):
-            raise ValueError(
-                f"start and end must be in [0, 1], ramp_share in (0, 1]; got {start}, {end}, {ramp_share}"
-            )
+            raise ValueError(f"start and end must be in [0, 1], ramp_share in (0, 1]; got {start}, {end}, {ramp_share}")
         self.start, self.end, self.ramp_share = start, end, ramp_share
 
     def difficulty(self, epoch: int, epochs: int) -> float:

@@ -44,6 +44,4 @@ class Panels(L.Callback):
             rgb, depth_m, truth_m = (batch[key][i : i + 1] for key in ("rgb", "depth_m", "truth_depth_m"))
             with torch.inference_mode():
                 output = pl_module.network(rgb, depth_m)
-            write_png(
-                folder / f"epoch_{epoch:03d}_frame_{i}.png", sample_panel(rgb, depth_m, output, truth_m)
-            )
+            write_png(folder / f"epoch_{epoch:03d}_frame_{i}.png", sample_panel(rgb, depth_m, output, truth_m))

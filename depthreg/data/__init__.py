@@ -1,0 +1,1 @@
+"""Frames and measurements: the contract, files, data sets."""

@@ -76,18 +76,14 @@ class FolderDataset(Dataset[dict[str, Any]]):
         intrinsics: str | None = None,
     ) -> None:
         if not isinstance(depth_scale, int | float) or not depth_scale > 0:
-            raise InputError(
-                f"depth_scale={depth_scale}: expected a positive number of stored units per metre"
-            )
+            raise InputError(f"depth_scale={depth_scale}: expected a positive number of stored units per metre")
         self.root, self.depth_scale = Path(root), depth_scale
         self.images, self.depths = self._need(image), self._need(depth)
         self.truths = self._need(truth) if truth else match_files(self.root, "truth/*")
         if intrinsics:
             self.intrinsics = self._need(intrinsics)
         else:
-            self.intrinsics = match_files(self.root, "intrinsics.txt") | match_files(
-                self.root, "intrinsics/*"
-            )
+            self.intrinsics = match_files(self.root, "intrinsics.txt") | match_files(self.root, "intrinsics/*")
         alone = sorted(self.images.keys() ^ self.depths.keys())
         if alone:
             path = self.images.get(alone[0]) or self.depths[alone[0]]

@@ -49,21 +49,13 @@ def read_depth_m(path: Path, scale: float) -> np.ndarray:
     if stored.ndim == 3 and stored.shape[-1] == 1:
         stored = stored[..., 0]
     if stored.ndim != 2 or 0 in stored.shape:
-        raise InputError(
-            f"{path} holds an array of shape {stored.shape}: one depth channel (H, W) was expected"
-        )
+        raise InputError(f"{path} holds an array of shape {stored.shape}: one depth channel (H, W) was expected")
     if stored.dtype.kind not in "iuf" or stored.dtype.itemsize < 2:
-        raise InputError(
-            f"{path} holds {stored.dtype} values: depth of 16 bits or more, or float, was expected"
-        )
+        raise InputError(f"{path} holds {stored.dtype} values: depth of 16 bits or more, or float, was expected")
     with np.errstate(over="ignore"):  # what overflows is infinite, and refused as such
-        depth_m = np.nan_to_num(stored / np.float64(scale), nan=0.0, posinf=np.inf, neginf=-np.inf).astype(
-            np.float32
-        )
+        depth_m = np.nan_to_num(stored / np.float64(scale), nan=0.0, posinf=np.inf, neginf=-np.inf).astype(np.float32)
     if np.isinf(depth_m).any() or (depth_m < 0).any():
-        raise InputError(
-            f"{path} holds negative or infinite depths: positive depths, and 0 for none, were expected"
-        )
+        raise InputError(f"{path} holds negative or infinite depths: positive depths, and 0 for none, were expected")
     if not depth_m.any():
         raise InputError(f"{path} holds no valid return: at least one depth above 0 was expected")
     return depth_m
@@ -132,9 +124,7 @@ def _read_numpy(path: Path) -> np.ndarray:
             name = arrays.files[0] if len(arrays.files) == 1 else "depth"
             return arrays[name]
     except KeyError as error:
-        raise InputError(
-            f"{path} must hold one array, or one named depth, but holds {loaded.files}"
-        ) from error
+        raise InputError(f"{path} must hold one array, or one named depth, but holds {loaded.files}") from error
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror or error}") from error
     except (ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -147,9 +137,7 @@ def _read_exr(path: Path) -> np.ndarray:
     try:
         openexr = import_module("OpenEXR")  # OpenCV's wheels have no EXR reader since 5.0
     except ImportError as error:
-        raise InputError(
-            f"{path} needs the OpenEXR package: install it with `pip install OpenEXR`"
-        ) from error
+        raise InputError(f"{path} needs the OpenEXR package: install it with `pip install OpenEXR`") from error
     if not path.is_file():
         raise InputError(f"{path} can't be read: no such file")
     try:
@@ -242,15 +230,11 @@ def write_json(path: Path, content: Any) -> None:
 def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray) -> None:
     """Write a coloured point cloud as binary PLY: points (N, 3) in metres, colours (N, 3) uint8."""
     position, colour = ("x", "y", "z"), ("red", "green", "blue")
-    vertices = np.empty(
-        len(points_m), [(name, "<f4") for name in position] + [(name, "u1") for name in colour]
-    )
+    vertices = np.empty(len(points_m), [(name, "<f4") for name in position] + [(name, "u1") for name in colour])
     for names, columns in ((position, points_m), (colour, rgb)):
         for name, column in zip(names, columns.T, strict=True):
             vertices[name] = column
-    properties = [f"property float {name}" for name in position] + [
-        f"property uchar {name}" for name in colour
-    ]
+    properties = [f"property float {name}" for name in position] + [f"property uchar {name}" for name in colour]
     lines = [
         "ply",
         "format binary_little_endian 1.0",

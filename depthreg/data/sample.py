@@ -1,8 +1,8 @@
 """The data contract: what a frame, a measurement and a batch hold, in which units and on which grid.
 
 Pixel centres lie at integers. Depth is z-depth (along the optical axis) in metres, float32, 0 where there is none;
-`range_m` is the length along a ray. Camera coordinates: x right, y down, z forward. `affine_rgb_from_depth` (2, 3) is in
-pixels: `rgb[A @ (x, y, 1)]` belongs to `depth_m[y, x]`. Axes: B batch, H rows, W columns, N returns, M margin.
+`range_m` is the length along a ray. Camera coordinates: x right, y down, z forward. `affine_rgb_from_depth` (2, 3) is
+in pixels: `rgb[A @ (x, y, 1)]` belongs to `depth_m[y, x]`. Axes: B batch, H rows, W columns, N returns, M margin.
 """
 
 from dataclasses import dataclass
@@ -32,9 +32,7 @@ class LidarReturns:
 class Frame:
     """What perfect instruments would see of one scene."""
 
-    rgb: (
-        np.ndarray
-    )  # (H + 2M, W + 2M, 3) uint8; the margin lets a misaligned view be drawn without black borders
+    rgb: np.ndarray  # (H + 2M, W + 2M, 3) uint8; the margin lets a misaligned view be drawn without black borders
     margin_px: int  # M
     depth_m: np.ndarray  # (H, W) float32, 0 = sky
     object_id: np.ndarray  # (H, W) int32, -1 = sky

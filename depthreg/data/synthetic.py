@@ -1,8 +1,6 @@
 """Rendered frames as a data set: drawn on the fly, or kept on disk after the first time."""
 
 import hashlib
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
+from depthreg.data.io import atomic_write
 from depthreg.data.sample import Frame, FrameBatch, Measurement
 from depthreg.rendering import Camera, ScanPattern, render_frame
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, margin_for
@@ -26,7 +25,7 @@ class RandomCamera:
     Args:
         width, height: Image size in pixels.
         focal_px: Smallest and largest focal length; drawn uniformly in its logarithm.
-        center_jitter: Largest offset of the principal point from the image's centre, as a share of the width and height.
+        center_jitter: Largest offset of the principal point from the image's centre, as a share of the image's size.
         max_corner_shift_px: Largest misalignment that the margin has to serve, for an image 1242 pixels wide.
     """
 
@@ -94,7 +93,9 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
             return {**self._pack(self.frame(index)), "index": index}
         path = self.folder / f"{index:06d}.npz"
         if not path.exists():
-            _save_whole(path, self._pack(self.frame(index)))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as temporary:  # several workers may fill one cache
+                np.savez(temporary, **self._pack(self.frame(index)))  # type: ignore[arg-type]
         with np.load(path) as arrays:
             return {**{key: arrays[key] for key in arrays.files}, "index": index}
 
@@ -112,17 +113,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
 def _code_of(*packages: str) -> bytes:
     """Source text of our packages: a cached frame belongs to the code that rendered it."""
     root = Path(__file__).parents[1]
-    return b"".join(
-        path.read_bytes() for package in packages for path in sorted((root / package).glob("*.py"))
-    )
-
-
-def _save_whole(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write under a temporary name, then rename: several workers may fill one cache."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
-    os.replace(file.name, path)
+    return b"".join(path.read_bytes() for package in packages for path in sorted((root / package).glob("*.py")))
 
 
 def collate_frames(items: Sequence[dict[str, Any]]) -> FrameBatch:
@@ -150,9 +141,7 @@ class SyntheticMeasurements(Dataset[Measurement]):
         seed: First number of every draw.
     """
 
-    def __init__(
-        self, frames: SyntheticFrames, simulator: SensorSimulator, difficulty: float, seed: int
-    ) -> None:
+    def __init__(self, frames: SyntheticFrames, simulator: SensorSimulator, difficulty: float, seed: int) -> None:
         self.frames, self.simulator, self.difficulty, self.seed = frames, simulator, difficulty, seed
 
     def __len__(self) -> int:

@@ -55,13 +55,11 @@ class CMRF(nn.Module):
         self.residual = in_channels == out_channels
 
     def forward(self, *parts: Tensor) -> Tensor:
-        """Parts (B, C_i, H_i, W_i) whose channels sum to in_channels -> (B, out_channels, H, W), H x W being the last's."""
+        """Parts (B, C_i, H_i, W_i), channels summing to in_channels -> (B, out_channels, H, W), sized as the last."""
         weights = self.reduce.weight.split([part.shape[1] for part in parts], dim=1)
         # Contiguous slices, or PyTorch falls back to its slow convolution.
         reduced = [F.conv2d(part, weight.contiguous()) for part, weight in zip(parts, weights, strict=True)]
-        narrow = self.normalize(
-            sum(r if r.shape == reduced[-1].shape else upsample_to(r, parts[-1]) for r in reduced)
-        )
+        narrow = self.normalize(sum(r if r.shape == reduced[-1].shape else upsample_to(r, parts[-1]) for r in reduced))
         even, odd = narrow[:, ::2], narrow[:, 1::2]
         seen = [even + odd]
         for convolution in self.cascade:

@@ -18,9 +18,7 @@ class TinyUNet(nn.Module):
         skip_channels: Channels of extra full-resolution features that join the last decoder block.
     """
 
-    def __init__(
-        self, in_channels: int, out_channels: int, widths: Sequence[int], skip_channels: int = 0
-    ) -> None:
+    def __init__(self, in_channels: int, out_channels: int, widths: Sequence[int], skip_channels: int = 0) -> None:
         super().__init__()
         inputs = [in_channels, *widths[:-1]]
         self.encoder = nn.ModuleList(CMRF(i, o) for i, o in zip(inputs, widths, strict=True))
@@ -33,7 +31,7 @@ class TinyUNet(nn.Module):
         self.stride = 2 ** len(widths)
 
     def forward(self, x: Tensor, skip: Tensor | None = None) -> Tensor:
-        """(B, in_channels, H, W) and (B, skip_channels, H, W) -> (B, out_channels, H, W); H, W multiples of `stride`."""
+        """(B, in_channels, H, W), (B, skip_channels, H, W) -> (B, out_channels, H, W); H, W multiples of `stride`."""
         features = []
         for block in self.encoder:
             x = block(x)

@@ -63,9 +63,7 @@ class JointNetwork(nn.Module):
         }
         self.first_rgb = conv_norm_gelu(3, first_channels)
         self.first_depth = conv_norm_gelu(3, first_channels)
-        self.registration = RegistrationNet(
-            first_channels, registration_widths, registration_hidden, matchers
-        )
+        self.registration = RegistrationNet(first_channels, registration_widths, registration_hidden, matchers)
         self.completion = TinyUNet(4, 1, completion_widths, skip_channels=2 * first_channels)
         self.min_depth_m, self.max_depth_m = depth_range_m
         self.residual = residual

@@ -21,7 +21,7 @@ class LocalMatches(NamedTuple):
 
 
 def edge_strength(image: Tensor, window: int = 17) -> Tensor:
-    """Horizontal and vertical contrast relative to the contrast around, in [0, 1): faint edges in dull places count too.
+    """Horizontal and vertical contrast relative to that around, in [0, 1): faint edges in dull places count too.
 
     Args:
         image: (B, C, H, W) in [0, 1].
@@ -33,7 +33,9 @@ def edge_strength(image: Tensor, window: int = 17) -> Tensor:
     right = F.pad((image[..., 1:] - image[..., :-1]).abs(), [0, 1, 0, 0]).amax(dim=1)
     down = F.pad((image[..., 1:, :] - image[..., :-1, :]).abs(), [0, 0, 0, 1]).amax(dim=1)
     contrast = torch.stack([right, down], dim=1)
-    around = F.avg_pool2d(contrast.sum(1, keepdim=True), window, 1, window // 2, count_include_pad=False)
+    around = contrast.sum(dim=1, keepdim=True)
+    for kernel in ((1, window), (window, 1)):  # the mean over a square, one axis at a time
+        around = F.avg_pool2d(around, kernel, 1, (kernel[0] // 2, kernel[1] // 2), count_include_pad=False)
     return contrast / (contrast + around + 1e-3)
 
 
@@ -56,9 +58,7 @@ def local_correlation(fixed: Tensor, moving: Tensor, radius: int) -> Tensor:
     return torch.stack(products, dim=1)
 
 
-def fit_affine(
-    points_px: Tensor, displacements_px: Tensor, weights: Tensor, stiffness: float = 1e-2
-) -> Tensor:
+def fit_affine(points_px: Tensor, displacements_px: Tensor, weights: Tensor, stiffness: float = 1e-2) -> Tensor:
     """The affine that best explains displacements, by weighted least squares in closed form.
 
     Args:

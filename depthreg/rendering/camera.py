@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from depthreg.errors import InputError
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -16,6 +18,9 @@ class Camera:
         center_px: Principal point (column, row) in the frame; its middle where not given.
         margin_px: How far the colour image reaches beyond the frame on each side.
         baseline_m: Distance to the right camera of the rectified pair.
+
+    Raises:
+        InputError: A size or the focal length isn't positive, or the margin is negative.
     """
 
     width: int
@@ -24,6 +29,10 @@ class Camera:
     center_px: tuple[float, float] | None = None
     margin_px: int = 0
     baseline_m: float = 0.54
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height, self.focal_px) <= 0 or self.margin_px < 0:
+            raise InputError(f"A camera needs a positive width, height and focal_px and no negative margin_px: {self}.")
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -35,7 +44,7 @@ class Camera:
         """Directions through the pixel centres of the frame and a border round it.
 
         Returns:
-            (H + 2 border, W + 2 border, 3) float32 in camera coordinates with z = 1, so that lengths along them are z-depths.
+            (H + 2 border, W + 2 border, 3) float32 in camera coordinates; z = 1, so lengths along them are z-depths.
         """
         u, v = self.center_px or ((self.width - 1) / 2, (self.height - 1) / 2)
         x = (np.arange(-border_px, self.width + border_px) - u) / self.focal_px

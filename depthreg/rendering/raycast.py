@@ -1,6 +1,6 @@
 """Cast rays with Embree: what perfect instruments would see of a scene."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,17 @@ from depthreg.worlds.scene import Light, Scene
 
 _SKY_BEYOND_M = 250.0  # no sensor measures that far: depth counts as none
 _RAYS_AT_ONCE = 32768  # what fits a core's cache
-_BORDER_PX = 1  # the lens blur looks one pixel beyond the image
+_BLUR_PX = 1  # the lens blur looks one pixel beyond the image
+
+
+@dataclass(frozen=True)
+class _View:
+    """What a camera sees, with `border_px` more pixels on each side than its frame has."""
+
+    linear: np.ndarray  # (3, H, W) float32 linear light
+    depth_m: np.ndarray  # (H, W) float32, 0 = sky
+    face: np.ndarray  # (H, W) int32, -1 = sky
+    border_px: int
 
 
 def render_frame(scene: Scene, camera: Camera, scan: ScanPattern | None, *, right: bool = True) -> Frame:
@@ -28,18 +38,18 @@ def render_frame(scene: Scene, camera: Camera, scan: ScanPattern | None, *, righ
     world_from_camera = np.linalg.inv(scene.camera_from_world)
     rotation = world_from_camera[:3, :3].astype(np.float32)
     surfaces = merge(scene, world_from_camera[:3, 3])
-    margin = camera.margin_px
-    rgb, depth_m, face = _look(surfaces, scene.light, camera, rotation, np.zeros(3), margin)
+    left = _look(surfaces, scene.light, camera, rotation, camera.margin_px + _BLUR_PX)
+    inner = np.s_[left.border_px : left.border_px + camera.height, left.border_px : left.border_px + camera.width]
+    face = np.where(left.depth_m <= _SKY_BEYOND_M, left.face, -1)[inner]
     rgb_right = np.zeros((0, 0, 3), np.uint8)
     if right:
-        rgb_right, _, _ = _look(surfaces, scene.light, camera, rotation, rotation[:, 0] * camera.baseline_m, 0)
-    crop = np.s_[margin : margin + camera.height, margin : margin + camera.width]
-    depth_m, face = depth_m[crop], face[crop]
+        other = _look(surfaces, scene.light, camera, rotation, _BLUR_PX, left)
+        rgb_right = develop(other.linear, scene.light.exposure)
     lidar = scan_scene(scene, surfaces, camera, scan, world_from_camera) if scan else no_returns()
     return Frame(
-        rgb=rgb,
-        margin_px=margin,
-        depth_m=_to_bins(depth_m, scene.depth_bin_m),
+        rgb=develop(left.linear, scene.light.exposure),
+        margin_px=camera.margin_px,
+        depth_m=_to_bins(np.where(face >= 0, left.depth_m[inner], 0), scene.depth_bin_m),
         object_id=np.where(face >= 0, surfaces.object_id[face], -1),
         normal=_facing_normals(surfaces.normal, face, camera, rotation),
         intrinsics=camera.intrinsics,
@@ -50,21 +60,22 @@ def render_frame(scene: Scene, camera: Camera, scan: ScanPattern | None, *, righ
 
 
 def _look(
-    surfaces: Surfaces, light: Light, camera: Camera, rotation: np.ndarray, position: np.ndarray, margin_px: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour, z-depth and face (-1 = sky) of each pixel, with margin.
+    surfaces: Surfaces, light: Light, camera: Camera, rotation: np.ndarray, border_px: int, left: _View | None = None
+) -> _View:
+    """What the camera sees.
 
     Args:
-        surfaces: What there is.
+        surfaces: What there is, round the left camera.
         light: Light and sky.
         camera: What to look with.
-        rotation: The camera's axes in the world, (3, 3).
-        position: Where the camera is, (3,), relative to the surfaces' origin.
-        margin_px: How far to look beyond the frame.
+        rotation: The camera's axes in the world, (3, 3) float32.
+        border_px: How far to look beyond the frame.
+        left: Where given, this is the right camera; what the left one saw already isn't shaded again.
     """
-    pixels = camera.rays(margin_px + _BORDER_PX)
-    shape = pixels.shape[:2]
+    pixels = camera.rays(border_px)
+    height, width = pixels.shape[:2]
     pixels = pixels.reshape(-1, 3)
+    position = np.zeros(3) if left is None else rotation[:, 0] * camera.baseline_m
     linear = np.empty((3, len(pixels)), np.float32)
     depth_m = np.zeros(len(pixels), np.float32)
     face = np.full(len(pixels), -1, np.int32)
@@ -76,14 +87,37 @@ def _look(
         hits = surfaces.cast(position, rays)
         face[part][hits.ray] = hits.face
         depth_m[part][hits.ray] = hits.range_m * depth_per_m.take(hits.ray)
-        linear[:, part][:, hits.ray] = shade(surfaces, light, hits, 1 / camera.focal_px)
+        color = linear[:, part]
         missed = np.flatnonzero(face[part] < 0)
-        linear[:, part][:, missed] = sky(light, rays.take(missed, axis=0).T)
-    far = depth_m > _SKY_BEYOND_M
-    depth_m[far], face[far] = 0, -1
-    inner = np.s_[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX]
-    rgb = develop(linear.reshape(3, *shape), light.exposure)
-    return rgb, depth_m.reshape(shape)[inner], face.reshape(shape)[inner]
+        color[:, missed] = sky(light, rays.take(missed, axis=0).T)
+        if left is not None:
+            row, column = np.divmod(hits.ray + start, width)
+            disparity_px = camera.focal_px * camera.baseline_m / depth_m[part].take(hits.ray)
+            shift = left.border_px - border_px
+            known, same = _seen_before(left, row + shift, column + shift + disparity_px, hits.face)
+            color[:, hits.ray[known]] = same
+            hits = hits.take(np.flatnonzero(~known))
+        color[:, hits.ray] = shade(surfaces, light, hits, 1 / camera.focal_px)
+    return _View(
+        linear.reshape(3, height, width), depth_m.reshape(height, width), face.reshape(height, width), border_px
+    )
+
+
+def _seen_before(view: _View, row: np.ndarray, column: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Colours of points that a view shows too, at positions (row, column) (M,) in it.
+
+    Returns:
+        A mask (M,): both pixels beside the position show the point's own face (M,). And those points' colours (3, K).
+    """
+    width = view.face.shape[1]
+    first = np.floor(column).astype(np.int32)
+    inside = first.clip(0, width - 2)
+    index, faces = row * width + inside, view.face.ravel()
+    known = (faces.take(index) == face) & (faces.take(index + 1) == face) & (first == inside)
+    index, weight = index[known], (column - first)[known].astype(np.float32)
+    linear = view.linear.reshape(3, -1)
+    before = linear.take(index, axis=1)
+    return known, before + weight * (linear.take(index + 1, axis=1) - before)
 
 
 def _facing_normals(normal: np.ndarray, face: np.ndarray, camera: Camera, rotation: np.ndarray) -> np.ndarray:

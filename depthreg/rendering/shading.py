@@ -23,7 +23,9 @@ def sky(light: Light, rays: np.ndarray) -> np.ndarray:
     horizon, zenith = _column(light.sky_horizon_rgb), _column(light.sky_zenith_rgb)
     clear = horizon + np.sqrt(up) * (zenith - horizon)
     column, row = np.floor(rays[:2] / (up + 0.12) * (0.25 * TILE)).astype(np.int32) & (TILE - 1)
-    thickness, brightness = TEXELS.take(texture_start("clouds") + row * TILE + column, axis=0)[:, :2].T * np.float32(1 / 255)
+    thickness, brightness = TEXELS.take(texture_start("clouds") + row * TILE + column, axis=0)[:, :2].T * np.float32(
+        1 / 255
+    )
     cloud = (3 * (thickness + light.cloud_cover - 0.8)).clip(0, 1) * (4 * up).clip(0, 1)
     white = 2 * brightness * (0.2 * horizon + 0.8 * horizon.max())
     return clear + cloud * (white - clear)

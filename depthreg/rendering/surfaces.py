@@ -7,7 +7,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from depthreg.worlds.scene import Light, Material, Scene
-from depthreg.worlds.textures import LEVEL_START, LEVELS, PATTERNS, TEXELS, TILE, texture_start
+from depthreg.worlds.textures import LEVEL_START, PATTERNS, TEXELS, TILE, texture_start
 
 _LIFT_M = 2e-3  # shadow rays start this far off their surface, or it would shade itself
 _LAMP_AT_M = 2.0  # a lamp's brightness is stated at this distance
@@ -92,12 +92,13 @@ class Surfaces:
         """
         start = hits.point + _LIFT_M * hits.normal
         if light.lamp_m is None:
-            towards = np.broadcast_to(np.float32(light.sun_direction)[:, None], start.shape)
-            reach_m, strength = np.full(len(hits.ray), np.inf, np.float32), np.float32(1)
+            towards = np.broadcast_to(light.sun_direction.astype(np.float32)[:, None], start.shape)
+            reach_m = np.full(len(hits.ray), np.inf, dtype=np.float32)
+            strength = np.ones(1, dtype=np.float32)
         else:
-            towards = np.float32(light.lamp_m - self.origin_m)[:, None] - start
-            reach_m = np.sqrt(np.einsum("kn,kn->n", towards, towards)).clip(_LIFT_M)
-            towards, strength = towards / reach_m, (_LAMP_AT_M / reach_m) ** 2
+            to_lamp = (light.lamp_m - self.origin_m).astype(np.float32)[:, None] - start
+            reach_m = np.sqrt(np.einsum("kn,kn->n", to_lamp, to_lamp)).clip(_LIFT_M)
+            towards, strength = to_lamp / reach_m, (_LAMP_AT_M / reach_m) ** 2
         arriving = strength * np.einsum("kn,kn->n", hits.normal, towards).clip(0)
         facing = np.flatnonzero(arriving > 0)
         start, towards = start.take(facing, axis=1).T, towards.take(facing, axis=1).T
@@ -182,9 +183,7 @@ def merge(scene: Scene, origin_m: np.ndarray) -> Surfaces:
         normal=np.ascontiguousarray(normal.T),
         object_id=object_id,
         texture=_texture_table(normal, object_id, materials, origin_m),
-        texels_per_m=np.array(
-            [TILE / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials], dtype=np.float32
-        ),
+        texels_per_m=np.array([TILE / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials], dtype=np.float32),
         texture_start=np.array([texture_start(m.pattern) for m in materials], dtype=np.int32),
         paint=np.ascontiguousarray(paint),
     )

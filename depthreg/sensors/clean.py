@@ -12,8 +12,6 @@ from depthreg.data.sample import FrameBatch
 class Clean:
     """Reports the true depth at every difficulty: what stage 1 of the curriculum uses, where only the offset grows."""
 
-    def __call__(
-        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 in the sky."""
         return frames["depth_m"]

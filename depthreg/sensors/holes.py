@@ -22,9 +22,7 @@ def random_patches(
     centre, axes = torch.rand(2, batch, count, 2, generator=generator)
     centre_px = centre * torch.tensor([width, height])
     axes_px = ((0.2 + 0.8 * axes) * max_radius * height).clamp(min=0.5)
-    distance = (pixel_grid(height, width)[None, None] - centre_px[:, :, None, None]) / axes_px[
-        :, :, None, None
-    ]
+    distance = (pixel_grid(height, width)[None, None] - centre_px[:, :, None, None]) / axes_px[:, :, None, None]
     return (distance.square().sum(-1) < 1).any(dim=1, keepdim=True)
 
 
@@ -42,16 +40,12 @@ class Holes:
     max_radius: float = 0.35
     missing_share: float = 0.95
 
-    def __call__(
-        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 where it is missing."""
         depth_m = frames["depth_m"]
         if difficulty == 0:
             return depth_m
         batch, _, *size = depth_m.shape
-        patches = random_patches(
-            batch, (size[0], size[1]), self.patches, difficulty * self.max_radius, generator
-        )
+        patches = random_patches(batch, (size[0], size[1]), self.patches, difficulty * self.max_radius, generator)
         pixels = torch.rand(depth_m.shape, generator=generator) < difficulty * self.missing_share
         return depth_m.masked_fill((patches | pixels).to(depth_m.device), 0)

@@ -67,25 +67,21 @@ class Lidar:
     absorption_per_m: float = 0.004
     range_noise_m: float = 0.02
 
-    def __call__(
-        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """Sparse, noisy z-depth in metres, (B, 1, H, W); 0 where there is no return."""
         truth_m = frames["depth_m"]
         if difficulty == 0:
             return truth_m
         survivors = torch.rand(truth_m.shape, generator=generator).to(truth_m.device) < (1 - difficulty) ** 4
         returns_m = self._returns(frames["lidar"], difficulty, generator)
-        scanned = rasterize(frames["lidar"][..., :2], returns_m, truth_m.shape[-2:])
+        scanned = rasterize(frames["lidar"][..., :2], returns_m, (truth_m.shape[-2], truth_m.shape[-1]))
         return torch.where(scanned > 0, scanned, truth_m * survivors)
 
     def _returns(self, lidar: Tensor, difficulty: float, generator: torch.Generator | None) -> Tensor:
         _, _, depth_m, range_m, _, _, ring = lidar.unbind(-1)
         lost_share = difficulty * self.drop_share
         lines = 64 - difficulty * (64 - self.min_lines) * torch.rand(len(lidar), generator=generator)
-        noise_m = (
-            torch.randn(range_m.shape, generator=generator).to(lidar.device) * self.range_noise_m * difficulty
-        )
+        noise_m = torch.randn(range_m.shape, generator=generator).to(lidar.device) * self.range_noise_m * difficulty
         luck = torch.rand(range_m.shape, generator=generator).to(lidar.device)
         survives = luck < (1 - lost_share) * torch.exp(-difficulty * self.absorption_per_m * range_m)
         kept = survives & keep_lines(ring, lines, generator) & (range_m > 0)

@@ -1,6 +1,6 @@
 """Turns a batch of perfect frames into what real instruments would report."""
 
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 import torch
@@ -14,9 +14,7 @@ from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, rand
 class DepthSensor(Protocol):
     """Any depth sensor: difficulty 0 reports the truth, 1 is the instrument at its worst."""
 
-    def __call__(
-        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
-    ) -> Tensor:
+    def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 where there is no return."""
 
 
@@ -33,9 +31,7 @@ class SensorSimulator:
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
 
-    def __call__(
-        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None
-    ) -> Measurement:
+    def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Measurement:
         """Simulate one measurement per frame; the generator lives on the CPU, whatever the frames' device."""
         if not 0 <= difficulty <= 1:
             raise ValueError(f"difficulty must be in [0, 1], got {difficulty}")
@@ -56,15 +52,14 @@ class SensorSimulator:
         )
 
 
-def simulate_each(
-    simulator: SensorSimulator, frames: FrameBatch, difficulty: float, seed: int
-) -> Measurement:
+def simulate_each(simulator: SensorSimulator, frames: FrameBatch, difficulty: float, seed: int) -> Measurement:
     """Simulate every frame with a generator of its own, seeded by (seed, index): independent of the batch it is in."""
     singles = []
     for i, index in enumerate(frames["index"].tolist()):
-        single = FrameBatch(**{key: value[i : i + 1] for key, value in frames.items()})  # type: ignore[typeddict-item]
-        singles.append(simulator(single, difficulty, seeded_generator(seed, index)))
-    return Measurement(**{key: torch.cat([single[key] for single in singles]) for key in singles[0]})  # type: ignore[literal-required, typeddict-item]
+        frame = {key: cast(Tensor, value)[i : i + 1] for key, value in frames.items()}
+        single = simulator(cast(FrameBatch, frame), difficulty, seeded_generator(seed, index))
+        singles.append(cast(dict[str, Tensor], single))
+    return cast(Measurement, {key: torch.cat([single[key] for single in singles]) for key in singles[0]})
 
 
 def seeded_generator(*numbers: int) -> torch.Generator:
@@ -75,16 +70,17 @@ def seeded_generator(*numbers: int) -> torch.Generator:
 
 def augment(measurement: Measurement, generator: torch.Generator, brightness: float = 0.2) -> Measurement:
     """Mirror each sample left to right with probability one half, and scale its brightness by up to +-`brightness`."""
-    out = Measurement(**measurement)
+    given = cast(dict[str, Tensor], measurement)
+    out = dict(given)
     batch, _, _, width = measurement["rgb"].shape
     device = measurement["rgb"].device
     mirrored = (torch.rand(batch, generator=generator) < 0.5).to(device)[:, None, None]
     gain = 1 + brightness * (2 * torch.rand(batch, 1, 1, 1, generator=generator) - 1).to(device)
     for key in ("rgb", "depth_m", "truth_depth_m", "truth_rgb"):
-        out[key] = torch.where(mirrored[..., None], measurement[key].flip(-1), measurement[key])
+        out[key] = torch.where(mirrored[..., None], given[key].flip(-1), given[key])
     for key in ("rgb", "truth_rgb"):
         out[key] = (out[key] * gain).clamp(max=1)
     affine, intrinsics = measurement["truth_affine_rgb_from_depth"], measurement["intrinsics"]
     out["truth_affine_rgb_from_depth"] = torch.where(mirrored, flip_affine(affine, width), affine)
     out["intrinsics"] = torch.where(mirrored, flip_intrinsics(intrinsics, width), intrinsics)
-    return out
+    return cast(Measurement, out)

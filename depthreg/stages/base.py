@@ -5,6 +5,7 @@ from typing import Any, cast
 
 import lightning as L
 import torch
+from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
 
 from depthreg.data.sample import FrameBatch, Measurement
@@ -26,7 +27,8 @@ class Stage(L.LightningModule):
         simulator: Turns frames into measurements on the device.
         learning_rate: Adam's.
         weight_decay: Adam's.
-        lr_milestones: Shares of the stage's epochs after which the learning rate is divided by `lr_divisor`.
+        warmup_steps: Steps over which the learning rate rises; without them registration doesn't start to learn.
+        lr_milestones: Shares of the stage's steps after which the learning rate is divided by `lr_divisor`.
         lr_divisor: See `lr_milestones`.
         brightness: Largest relative change of brightness in training.
         val_difficulty: Difficulty of validation, in [0, 1].
@@ -43,6 +45,7 @@ class Stage(L.LightningModule):
         simulator: SensorSimulator,
         learning_rate: float,
         weight_decay: float = 1e-5,
+        warmup_steps: int = 40,
         lr_milestones: Sequence[float] = (),
         lr_divisor: float = 3.0,
         brightness: float = 0.2,
@@ -52,42 +55,35 @@ class Stage(L.LightningModule):
         super().__init__()
         self.network, self.loss, self.simulator = network, loss, simulator
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
-        self.lr_milestones, self.lr_divisor = tuple(lr_milestones), lr_divisor
+        self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
         self.brightness, self.val_difficulty, self.seed = brightness, val_difficulty, seed
         self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
 
     def frozen_modules(self, epoch: int) -> Iterable[nn.Module]:
-        """Parts of the network that don't learn in this epoch; a function of the epoch alone, so a resume needs no memory."""
+        """What doesn't learn in this epoch; a function of the epoch alone, so that a resume needs no memory."""
         raise NotImplementedError
 
     def on_after_batch_transfer(self, batch: FrameBatch | Measurement, dataloader_idx: int) -> Measurement:
         """Simulate sensors on the device; a batch that is measured already passes through."""
         if "lidar" not in batch:
-            return cast(Measurement, batch)
+            return batch
         frames = cast(FrameBatch, batch)
         if not self.trainer.training:
             return simulate_each(self.simulator, frames, self.val_difficulty, self.seed)
-        generator = seeded_generator(
-            self.seed, *self.name.encode(), self.trainer.global_step, self.trainer.global_rank
-        )
+        generator = seeded_generator(self.seed, *self.name.encode(), self.trainer.global_step, self.trainer.global_rank)
         return augment(self.simulator(frames, self.difficulty, generator), generator, self.brightness)
 
     def _step(self, batch: Measurement, split: str) -> tuple[JointOutput, Tensor]:
         output = self.network(batch["rgb"], batch["depth_m"])
         losses = self.loss(output, batch)
-        logs = {
-            f"{split}/loss" if name == "total" else f"{split}/{name}_loss": value
-            for name, value in losses.items()
-        }
+        logs = {f"{split}/loss" if name == "total" else f"{split}/{name}_loss": value for name, value in losses.items()}
         self.log_dict(logs, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
         return output, losses["total"]
 
     def training_step(self, batch: Measurement, batch_idx: int) -> Tensor:
         """The loss of a batch."""
         _, loss = self._step(batch, "train")
-        self.log(
-            "train/difficulty", self.difficulty, on_step=False, on_epoch=True, batch_size=len(batch["rgb"])
-        )
+        self.log("train/difficulty", self.difficulty, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
         return loss
 
     def validation_step(self, batch: Measurement, batch_idx: int) -> None:
@@ -104,15 +100,16 @@ class Stage(L.LightningModule):
             self.log_dict({f"val/{name}": value for name, value in metrics.compute().items()})
             metrics.reset()
 
-    def configure_optimizers(self) -> dict[str, Any]:
+    def configure_optimizers(self) -> OptimizerLRSchedulerConfig:
         """Adam over every parameter: frozen ones have no gradient, so it leaves them alone."""
-        optimizer = torch.optim.Adam(
-            self.network.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay
-        )
-        epochs = self.trainer.max_epochs or 1
-        milestones = [round(share * epochs) for share in self.lr_milestones]
-        scheduler = torch.optim.lr_scheduler.MultiStepLR(optimizer, milestones, gamma=1 / self.lr_divisor)
-        return {"optimizer": optimizer, "lr_scheduler": scheduler}
+        optimizer = torch.optim.Adam(self.network.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, self._learning_rate_factor)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def _learning_rate_factor(self, step: int) -> float:
+        share_done = step / max(float(self.trainer.estimated_stepping_batches), 1)
+        drops = sum(share_done >= milestone for milestone in self.lr_milestones)
+        return min((step + 1) / max(self.warmup_steps, 1), 1) / self.lr_divisor**drops
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Record which network and stage these weights belong to."""

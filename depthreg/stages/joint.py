@@ -24,6 +24,4 @@ class JointStage(Stage):
 
     def frozen_modules(self, epoch: int) -> Iterable[nn.Module]:
         """The completion layers, in every `freeze_period`-th epoch; the first epoch trains everything."""
-        return (
-            self.network.completion_modules() if epoch % self.freeze_period == self.freeze_period - 1 else []
-        )
+        return self.network.completion_modules() if epoch % self.freeze_period == self.freeze_period - 1 else []

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from depthreg.worlds import poses, street_layout
+from depthreg.errors import InputError
+from depthreg.worlds import houses, poses, street_ground, street_layout
 from depthreg.worlds.scene import Light, Scene
-from depthreg.worlds.street import Street
-from depthreg.worlds.street_layout import StreetStyle
+from depthreg.worlds.street import Street, StreetStyle
 
 STYLES: dict[str, StreetStyle] = {
     "city": StreetStyle(
@@ -36,12 +36,24 @@ class DrivingWorld:
     Attributes:
         styles: Which kinds of street to draw from, keys of `STYLES`.
         camera_up_m: Height of the camera above the road.
-        ahead_m: How far ahead things stand; a shorter street is quicker to build and to render.
+        ahead_m: How far ahead things stand, up to 240 m; a shorter street is quicker to build and to render.
+        coarse_leaves: Whether trees have a third of their leaves: quicker, and enough for small pictures.
+
+    Raises:
+        InputError: A style is unknown, or `ahead_m` is out of range.
     """
 
     styles: tuple[str, ...] = tuple(STYLES)
     camera_up_m: float = 1.65
     ahead_m: float = 240.0
+    coarse_leaves: bool = False
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.styles) - set(STYLES))
+        if unknown or not self.styles:
+            raise InputError(f"world.styles must name some of {sorted(STYLES)}, got {list(self.styles)}.")
+        if not 40 <= self.ahead_m <= 240:
+            raise InputError(f"world.ahead_m must lie between 40 and 240 metres, got {self.ahead_m}.")
 
     def __call__(self, seed: int, index: int) -> Scene:
         """Draw the street of a seed and an index."""
@@ -53,34 +65,38 @@ class DrivingWorld:
             slope=rng.normal(0, 0.012),
             behind_m=-25.0,
             ahead_m=self.ahead_m,
+            banks_m=(0.0, 0.0) if style.houses > 0.5 else tuple(rng.choice([0.0, 0.0, 0.6, 2.0, -0.8], 2).tolist()),
         )
         lane = int(rng.integers(style.lanes))
         objects = [
-            *street_layout.roadway(rng, street, style),
-            *street_layout.roadside(rng, street, style),
-            street_layout.backdrop(rng, street),
+            *street_ground.roadway(rng, street, style),
+            *street_ground.roadside(rng, street, style),
+            street_ground.backdrop(rng, street),
             *street_layout.traffic(rng, street, style, lane),
-            *street_layout.houses(rng, street, style),
-            *street_layout.greenery(rng, street, style),
+            *houses.houses(rng, street, style),
+            *street_layout.greenery(rng, street, style, self.coarse_leaves),
             *street_layout.furniture(rng, street, style),
+            *street_layout.gantries(rng, street, style),
             *street_layout.people(rng, street, style),
         ]
         right = (lane + 0.5) * style.lane_m + rng.normal(0, 0.2)
         x, y, z = street.stand(0.0, right, self.camera_up_m + rng.normal(0, 0.04))[0]
         yaw, pitch, roll = rng.normal(0, [1.5, 0.7, 0.4])
-        return Scene(objects, _weather(rng), poses.camera_from_world((x, y, z), yaw, pitch, roll), poses.lidar_from_camera())
+        return Scene(
+            objects, _weather(rng), poses.camera_from_world((x, y, z), yaw, pitch, roll), poses.lidar_from_camera()
+        )
 
 
 def _weather(rng: np.random.Generator) -> Light:
     """Sun or an overcast sky, clear air or haze; the exposure suits the light."""
     elevation, azimuth = np.deg2rad(rng.uniform(22, 65)), rng.uniform(0, 2 * np.pi)
     sun = np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
-    overcast = rng.random() < 0.3
-    strength = rng.uniform(0.05, 0.5) if overcast else rng.uniform(1.6, 2.4)
+    overcast = rng.random() < 0.2
+    strength = rng.uniform(0.1, 0.7) if overcast else rng.uniform(1.6, 2.4)
     warm = np.array([1.0, 0.93, 0.82]) if elevation > 0.6 else np.array([1.0, 0.86, 0.68])
-    ambient = np.array([0.85, 0.9, 0.95]) if overcast else np.array([0.25, 0.32, 0.43])
-    horizon = np.array([1.3, 1.35, 1.4]) if overcast else np.array([0.8, 0.93, 1.05])
-    zenith = np.array([0.9, 0.95, 1.0]) if overcast else np.array([0.22, 0.42, 0.78])
+    ambient = np.array([0.7, 0.75, 0.8]) if overcast else np.array([0.15, 0.2, 0.28])
+    horizon = np.array([1.3, 1.35, 1.4]) if overcast else np.array([1.0, 1.2, 1.38])
+    zenith = np.array([0.9, 0.95, 1.0]) if overcast else np.array([0.24, 0.5, 1.0])
     level = strength * np.sin(elevation) + ambient.mean()
     return Light(
         sun_direction=sun,
@@ -90,5 +106,5 @@ def _weather(rng: np.random.Generator) -> Light:
         sky_zenith_rgb=tuple(zenith.tolist()),
         cloud_cover=float(rng.uniform(0.7, 1) if overcast else rng.uniform(0, 0.6)),
         fog_per_m=float(rng.choice([0.0002, 0.0006, 0.0016], p=[0.5, 0.4, 0.1])),
-        exposure=float(1.6 / level * np.exp(rng.normal(0, 0.15))),
+        exposure=float(1.35 / level * np.exp(rng.normal(0, 0.15))),
     )

@@ -96,27 +96,27 @@ def asphalt(rng: np.random.Generator) -> np.ndarray:
     grain = fractal_noise(rng, range(6, 10), 1.1)
     wear = fractal_noise(rng, range(0, 5), 0.7)
     crack = np.exp(-((fractal_noise(rng, range(1, 7), 0.55) / 0.012) ** 2)) * (fractal_noise(rng, range(1, 3)) > 0.9)
-    return stack(0.5 + 0.22 * wear, 0.5 + 0.055 * grain + 0.02 * wear - 0.14 * crack)
+    return stack(0.5 + 0.22 * wear, 0.5 + 0.08 * grain + 0.025 * wear - 0.2 * crack)
 
 
 def paving(rng: np.random.Generator) -> np.ndarray:
     """Pavement slabs."""
     joints, slab = _courses(rng, 16, 16, (0.03, 0.03))
     grain = fractal_noise(rng, range(1, 9), 0.8)
-    return stack(0.15 * slab.clip(0), 0.5 + 0.025 * slab + 0.03 * grain - 0.13 * joints)
+    return stack(0.15 * slab.clip(0), 0.5 + 0.035 * slab + 0.04 * grain - 0.2 * joints)
 
 
 def gravel(rng: np.random.Generator) -> np.ndarray:
     """Loose stones, bare soil."""
     grain = fractal_noise(rng, range(5, 10), 1.0)
-    return stack(0.4 + 0.3 * fractal_noise(rng, range(1, 8), 0.7), 0.5 + 0.1 * grain)
+    return stack(0.4 + 0.3 * fractal_noise(rng, range(1, 8), 0.7), 0.5 + 0.15 * grain)
 
 
 def grass(rng: np.random.Generator) -> np.ndarray:
     """Short grass with dry (second colour) patches."""
     blades = fractal_noise(rng, range(5, 10), 1.0)
     patches = fractal_noise(rng, range(1, 7), 0.75)
-    return stack(0.35 + 0.28 * patches + 0.08 * blades, 0.5 + 0.09 * blades + 0.05 * patches)
+    return stack(0.35 + 0.28 * patches + 0.08 * blades, 0.5 + 0.14 * blades + 0.06 * patches)
 
 
 def foliage(rng: np.random.Generator) -> np.ndarray:

@@ -56,5 +56,6 @@ class Scene:
     objects: list[SceneObject]
     light: Light
     camera_from_world: np.ndarray  # (4, 4) rigid, metres
-    lidar_from_camera: np.ndarray = field(default_factory=lambda: np.eye(4))  # (4, 4) rigid; lidar: x forward, y left, z up
+    # (4, 4) rigid; LiDAR coordinates: x forward, y left, z up
+    lidar_from_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
     depth_bin_m: float | None = None  # where set, depth is reported at the centres of bins of this depth (stage 1)

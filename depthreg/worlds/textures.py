@@ -1,4 +1,4 @@
-"""Surface patterns as tiles with mip levels, baked once, so that far patterns fade to their mean instead of flickering."""
+"""Surface patterns as tiles with mip levels, so that far patterns fade to their mean instead of flickering."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ class Pattern:
 
     Attributes:
         draw: Draws the tile; see `depthreg.worlds.patterns`.
-        repeats: How many repeats of the motif (a brick, a bay of windows) a tile's side holds, so that neighbours differ.
+        repeats: How many repeats of the motif (a brick, a bay of windows) a tile's side holds: neighbours differ.
     """
 
     draw: Callable[[np.random.Generator], np.ndarray]

@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from depthreg.errors import InputError
 from depthreg.rendering import Camera, ScanPattern, hdl64
 
 
@@ -46,3 +47,9 @@ def test_scan_rays_are_unit_vectors_at_their_rings_elevation() -> None:
     rays, ring = scan.rays(-40.0, 40.0)
     np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(np.rad2deg(np.arcsin(rays[:, 2])), np.array([2.0, -24.0])[ring], atol=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [{"width": 0}, {"height": -3}, {"focal_px": 0.0}, {"margin_px": -1}])
+def test_an_impossible_camera_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        Camera(**({"width": 8, "height": 8, "focal_px": 5.0} | wrong))

@@ -74,7 +74,9 @@ def test_sky_is_zero_depth_no_object_and_no_normal(make_scene: Callable[..., Sce
     assert (frame.normal[:18] == 0).all()
 
 
-def test_binned_depth_lies_at_bin_centres(make_scene: Callable[..., Scene], wall: Callable[..., trimesh.Trimesh]) -> None:
+def test_binned_depth_lies_at_bin_centres(
+    make_scene: Callable[..., Scene], wall: Callable[..., trimesh.Trimesh]
+) -> None:
     scene = make_scene(wall(14.5), depth_bin_m=6.0)
     frame = render_frame(scene, CAMERA, hdl64(), right=False)
     assert (frame.depth_m == 15.0).all()  # the middle of 12 to 18 m
@@ -95,7 +97,9 @@ def test_the_right_image_of_a_wall_is_the_left_shifted_by_its_disparity(
     np.testing.assert_allclose(frame.rgb_right[:, :-shift].astype(int), frame.rgb[:, shift:].astype(int), atol=2)
 
 
-def test_without_the_right_camera_its_image_has_no_pixels(make_scene: Callable[..., Scene], ground: trimesh.Trimesh) -> None:
+def test_without_the_right_camera_its_image_has_no_pixels(
+    make_scene: Callable[..., Scene], ground: trimesh.Trimesh
+) -> None:
     assert _render(make_scene(ground, up_m=1.5)).rgb_right.shape == (0, 0, 3)
 
 
@@ -130,7 +134,9 @@ def test_colour_is_albedo_times_light_then_gamma(make_scene: Callable[..., Scene
     np.testing.assert_allclose(_render(scene).rgb[36, 30], 255 * linear ** (1 / 2.2), atol=1)
 
 
-def test_fog_fades_colour_by_beer_lambert(make_scene: Callable[..., Scene], wall: Callable[..., trimesh.Trimesh]) -> None:
+def test_fog_fades_colour_by_beer_lambert(
+    make_scene: Callable[..., Scene], wall: Callable[..., trimesh.Trimesh]
+) -> None:
     scene = make_scene(wall(100.0), material=Material((0.0, 0.0, 0.0)))
     light = replace(scene.light, fog_per_m=0.01, sky_horizon_rgb=(0.8, 0.8, 0.8))
     frame = _render(replace(scene, light=light))
@@ -148,3 +154,24 @@ def test_far_patterns_fade_to_their_mean_instead_of_flickering(
     assert near.std() > 40
     assert far.std() < 8
     assert cv2.mean(far)[0] == pytest.approx(255 * (0.45 * 1.15) ** (1 / 2.2), rel=0.08)
+
+
+def test_the_right_image_is_what_a_camera_moved_by_the_baseline_sees() -> None:
+    scene, camera = DrivingWorld(styles=("city",))(0, 1), Camera(211, 83, focal_px=120.0, margin_px=4)
+    to_the_right = np.eye(4)
+    to_the_right[0, 3] = -camera.baseline_m  # world points lie that much farther left
+    moved = replace(scene, camera_from_world=to_the_right @ scene.camera_from_world)
+    right = render_frame(scene, camera, None).rgb_right.astype(int)
+    expected = _render(moved, replace(camera, margin_px=0)).rgb.astype(int)
+    difference = np.abs(right - expected)
+    assert difference.mean() < 2.5  # what the left camera saw is interpolated between its pixels
+    assert (difference.max(axis=-1) > 40).mean() < 0.01
+
+
+def test_a_view_of_nothing_but_sky_renders(make_scene: Callable[..., Scene]) -> None:
+    behind = trimesh.creation.box(bounds=[(-1, -9, -1), (1, -8, 1)])
+    frame = render_frame(make_scene(behind), CAMERA, hdl64())
+    assert (frame.depth_m == 0).all()
+    assert (frame.object_id == -1).all()
+    assert len(frame.lidar.ring) == 0
+    assert (frame.rgb[:18].mean(axis=(1, 2)) > 100).all()  # a clear sky is bright

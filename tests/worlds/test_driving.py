@@ -5,8 +5,10 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
+from depthreg.errors import InputError
 from depthreg.rendering import Camera, hdl64, render_frame
 from depthreg.worlds import DrivingWorld
 from depthreg.worlds.driving import STYLES
@@ -103,7 +105,9 @@ def test_pictures_have_the_tones_of_photographs() -> None:
 
 def test_a_straight_level_street_runs_along_y() -> None:
     street = Street.winding(curvature_per_m=0.0, bend_m=50.0, slope=0.0, behind_m=-20.0, ahead_m=100.0)
-    np.testing.assert_allclose(street.points(np.array([0.0, 60.5]), np.array([0.0, 3.0]), 0.5), [[0, 0, 0.5], [3, 60.5, 0.5]])
+    np.testing.assert_allclose(
+        street.points(np.array([0.0, 60.5]), np.array([0.0, 3.0]), 0.5), [[0, 0, 0.5], [3, 60.5, 0.5]]
+    )
 
 
 def test_a_bend_has_the_curvature_asked_for() -> None:
@@ -121,3 +125,36 @@ def test_a_swept_strip_has_the_area_of_a_ring_sector() -> None:
     strip = street.sweep([(2.0, 0.0), (5.0, 0.0)], 0.0, 80.0)
     assert strip.area == pytest.approx(0.5 * (205**2 - 202**2) * 80 / 200, rel=0.01)
     assert (strip.face_normals[:, 2] > 0.999).all()
+
+
+def test_trees_stand_on_the_land_whatever_its_bank() -> None:
+    street = Street.winding(0.0, 50.0, 0.0, behind_m=-20.0, ahead_m=100.0, banks_m=(-1.0, 2.0))
+    assert street.land_up_m(1, 0.0) == street.land_up_m(-1, 0.0) == 0.0
+    assert street.land_up_m(1, 4.0) == pytest.approx(1.0)  # half way up the bank
+    assert street.land_up_m(-1, 8.0) == pytest.approx(-1.0)
+    scene = DrivingWorld(styles=("motorway",))(0, 2)
+    land = trimesh.util.concatenate([o.mesh for o in scene.objects if o.name in ("land", "verge")])
+    trunks = [o.mesh for o in scene.objects if o.name == "tree" and o.material.pattern == "bark"]
+    feet = np.array([[*mesh.bounds.mean(axis=0)[:2], mesh.bounds[0, 2]] for mesh in trunks])
+    above, ray, _ = land.ray.intersects_location(
+        feet + np.array([0, 0, 50]), np.tile([0.0, 0, -1], (len(feet), 1)), False
+    )
+    assert len(ray) > 0.9 * len(feet)
+    np.testing.assert_allclose(above[:, 2] - feet[ray, 2], 0.5, atol=0.25)  # trunks reach half a metre down
+
+
+def test_coarse_leaves_and_a_short_street_leave_less_to_build() -> None:
+    full, small = DrivingWorld(styles=("motorway",)), DrivingWorld(("motorway",), ahead_m=120.0, coarse_leaves=True)
+    faces = [sum(len(o.mesh.faces) for o in world(0, 1).objects) for world in (full, small)]
+    assert faces[1] < 0.6 * faces[0]
+    # Both are the same kind of place: road to the horizon, trees beside it.
+    frame = render_frame(small(0, 1), CAMERA, None, right=False)
+    assert frame.depth_m.max() > 150
+    assert {"tree", "road", "car"} <= {o.name for o in small(0, 1).objects}
+
+
+def test_unknown_streets_and_lengths_are_refused() -> None:
+    with pytest.raises(InputError, match=r"world\.styles.*village"):
+        DrivingWorld(styles=("city", "village"))
+    with pytest.raises(InputError, match=r"world\.ahead_m"):
+        DrivingWorld(ahead_m=1000.0)

@@ -14,7 +14,9 @@ def _tile(name: str) -> np.ndarray:
 def test_a_tile_continues_across_its_own_border(name: str) -> None:
     tile = _tile(name)
     inner = max(np.abs(np.diff(tile, axis=axis)).mean(axis=(0, 1)).max() for axis in (0, 1))
-    worst_line = max(np.abs(np.diff(tile, axis=0)).mean(axis=(1, 2)).max(), np.abs(np.diff(tile, axis=1)).mean(axis=(0, 2)).max())
+    worst_line = max(
+        np.abs(np.diff(tile, axis=0)).mean(axis=(1, 2)).max(), np.abs(np.diff(tile, axis=1)).mean(axis=(0, 2)).max()
+    )
     seams = np.abs(tile[0] - tile[-1]).mean(), np.abs(tile[:, 0] - tile[:, -1]).mean()
     assert max(seams) <= 1.5 * max(worst_line, inner) + 1e-3
 

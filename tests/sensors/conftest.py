@@ -1,0 +1,40 @@
+"""Frames made by formulas, so that no renderer is needed to try a sensor."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from depthreg.data.sample import FrameBatch
+
+MakeFrames = Callable[..., FrameBatch]
+
+
+@pytest.fixture
+def make_frames() -> MakeFrames:
+    """Smooth colour with a margin, ramps of depth, and returns on every third pixel of every second row."""
+
+    def make(batch: int = 2, height: int = 61, width: int = 93, margin_px: int = 9) -> FrameBatch:
+        y, x = torch.meshgrid(
+            torch.arange(-margin_px, height + margin_px) / height,
+            torch.arange(-margin_px, width + margin_px) / width,
+            indexing="ij",
+        )
+        waves = [0.5 + 0.4 * torch.sin(7 * x + k) * torch.cos(5 * y - k) for k in range(3 * batch)]
+        rgb = (255 * torch.stack(waves)).round().to(torch.uint8).unflatten(0, (batch, 3))
+        inner = slice(margin_px, -margin_px or None)
+        depth_m = torch.stack([(5 + 20 * y + 3 * x + b)[inner, inner] for b in range(batch)])[:, None]
+        rows, columns = torch.meshgrid(torch.arange(0, height, 2), torch.arange(0, width, 3), indexing="ij")
+        at_m = depth_m[:, 0, rows, columns].flatten(1)
+        columns, rows = columns.flatten().expand_as(at_m), rows.flatten().expand_as(at_m)
+        ring = (rows * 64 // height).float()
+        lidar = [columns, rows, at_m, 1.1 * at_m, torch.ones_like(at_m), 0.5 * torch.ones_like(at_m), ring]
+        return FrameBatch(
+            rgb=rgb,
+            depth_m=depth_m,
+            intrinsics=torch.tensor([[80.0, 0, 44], [0, 80, 31], [0, 0, 1]]).repeat(batch, 1, 1),
+            lidar=torch.stack(lidar, dim=-1),
+            index=torch.arange(batch) + 5,
+        )
+
+    return make

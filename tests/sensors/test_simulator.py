@@ -1,0 +1,138 @@
+"""The simulator: identity at difficulty 0, harder from there, the same for every batch."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from depthreg.geometry import identity_affine, warp_affine
+from depthreg.sensors import Clean, Holes, Lidar, SensorSimulator
+from depthreg.sensors.simulator import augment, seeded_generator, simulate_each
+
+SENSORS = [Clean(), Holes(), Lidar()]
+MAX_SHIFT_PX = 80.0  # for 1242 px of width, so about 6 px here
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def density(depth_m: Tensor) -> float:
+    return (depth_m > 0).float().mean().item()
+
+
+@pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
+def test_difficulty_zero_is_the_identity(sensor, make_frames) -> None:
+    frames = make_frames(margin_px=9)
+    measurement = SensorSimulator(sensor, MAX_SHIFT_PX)(frames, 0.0, generator())
+    inner = frames["rgb"][..., 9:-9, 9:-9].float() / 255
+    assert torch.equal(measurement["rgb"], inner) and torch.equal(measurement["truth_rgb"], inner)
+    assert torch.equal(measurement["depth_m"], frames["depth_m"])
+    assert torch.equal(measurement["truth_depth_m"], frames["depth_m"])
+    assert torch.equal(measurement["truth_affine_rgb_from_depth"], identity_affine(2))
+    assert torch.equal(measurement["intrinsics"], frames["intrinsics"])
+
+
+@pytest.mark.parametrize("sensor", [Holes(), Lidar()], ids=lambda sensor: type(sensor).__name__)
+def test_depth_thins_out_as_it_gets_harder(sensor, make_frames) -> None:
+    frames = make_frames(batch=6)
+    densities = [density(sensor(frames, difficulty, generator())) for difficulty in (0, 0.25, 0.5, 0.75, 1)]
+    assert densities == sorted(densities, reverse=True)
+    assert densities[0] == 1 and densities[-1] < 0.3
+
+
+@pytest.mark.parametrize("difficulty", [0.2, 1.0])
+def test_the_true_affine_brings_the_colour_onto_the_depths_grid(difficulty: float, make_frames) -> None:
+    frames = make_frames(batch=6)
+    measurement = SensorSimulator(Clean(), MAX_SHIFT_PX)(frames, difficulty, generator())
+    aligned, seen = warp_affine(measurement["rgb"], measurement["truth_affine_rgb_from_depth"])
+    errors = ((aligned - measurement["truth_rgb"]).abs() * seen).amax(dim=(1, 2, 3))
+    untouched = ((measurement["rgb"] - measurement["truth_rgb"]).abs() * seen).amax(dim=(1, 2, 3))
+    assert errors.max() < 0.02
+    assert untouched.max() > 4 * errors.max()
+
+
+def test_the_shift_scales_with_difficulty_and_width(make_frames) -> None:
+    simulator = SensorSimulator(Clean(), 124.2)
+    for difficulty in (0.3, 1.0):
+        measurement = simulator(make_frames(batch=200), difficulty, generator())
+        x = torch.tensor([[0, 0, 1.0], [92, 0, 1], [0, 60, 1], [92, 60, 1]]).T
+        moved = measurement["truth_affine_rgb_from_depth"] @ x - x[:2]  # (B, 2, 4)
+        worst_px = moved.norm(dim=1).amax()
+        limit_px = 124.2 * difficulty * 93 / 1242
+        assert 0.9 * limit_px < worst_px <= limit_px * 1.001
+
+
+def test_without_a_shift_the_colour_stays_aligned(make_frames) -> None:
+    measurement = SensorSimulator(Holes(), 0.0)(make_frames(), 1.0, generator())
+    assert torch.equal(measurement["rgb"], measurement["truth_rgb"])
+    assert torch.equal(measurement["truth_affine_rgb_from_depth"], identity_affine(2))
+
+
+@pytest.mark.parametrize("difficulty", [-0.1, 1.01, float("nan")])
+def test_a_difficulty_that_cannot_be_is_refused(difficulty: float, make_frames) -> None:
+    with pytest.raises(ValueError, match="difficulty must be in"):
+        SensorSimulator(Clean())(make_frames(), difficulty, generator())
+
+
+@pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
+def test_the_seed_decides_and_frames_are_left_as_they_were(sensor, make_frames) -> None:
+    frames, untouched = make_frames(), make_frames()
+    simulator = SensorSimulator(sensor, MAX_SHIFT_PX)
+    first, again, other = (simulator(frames, 0.7, generator(seed)) for seed in (1, 1, 2))
+    assert all(torch.equal(first[key], again[key]) for key in first)
+    assert not torch.equal(first["rgb"], other["rgb"])
+    assert all(torch.equal(frames[key], untouched[key]) for key in frames)
+
+
+@pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
+def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(sensor, make_frames) -> None:
+    frames = make_frames(batch=3)
+    simulator = SensorSimulator(sensor, MAX_SHIFT_PX)
+    together = simulate_each(simulator, frames, 0.8, seed=4)
+    order = torch.tensor([2, 0])
+    reordered = simulate_each(simulator, {key: value[order] for key, value in frames.items()}, 0.8, seed=4)
+    assert all(torch.equal(together[key][order], reordered[key]) for key in together)
+
+
+def test_validation_frames_differ_from_each_other_and_between_seeds(make_frames) -> None:
+    frames = make_frames(batch=2)
+    simulator = SensorSimulator(Clean(), MAX_SHIFT_PX)
+    first, second = (simulate_each(simulator, frames, 1.0, seed)["truth_affine_rgb_from_depth"] for seed in (0, 1))
+    assert not torch.equal(first[0], first[1]) and not torch.equal(first, second)
+
+
+def test_a_seed_is_all_of_its_numbers_in_their_order() -> None:
+    draws = [torch.rand(3, generator=seeded_generator(*numbers)).tolist() for numbers in ((1, 2), (2, 1), (1,), (1, 2))]
+    assert draws[0] == draws[3]
+    assert draws[0] != draws[1] and draws[0] != draws[2]
+
+
+def test_augmentation_keeps_colour_depth_and_affine_together(make_frames) -> None:
+    frames = make_frames(batch=12)
+    measurement = SensorSimulator(Clean(), MAX_SHIFT_PX)(frames, 1.0, generator())
+    out = augment(measurement, generator(3))
+    mirrored = (out["depth_m"] != measurement["depth_m"]).flatten(1).any(dim=1)
+    assert mirrored.any() and not mirrored.all()
+    aligned, seen = warp_affine(out["rgb"], out["truth_affine_rgb_from_depth"])
+    assert ((aligned - out["truth_rgb"]).abs() * seen).max() < 0.025
+    for key in ("depth_m", "truth_depth_m"):
+        assert torch.equal(out[key][mirrored], measurement[key][mirrored].flip(-1))
+        assert torch.equal(out[key][~mirrored], measurement[key][~mirrored])
+    center = torch.where(mirrored, 93 - 1 - 44.0, 44.0)
+    torch.testing.assert_close(out["intrinsics"][:, 0, 2], center)
+
+
+def test_brightness_changes_both_colours_alike_within_its_limit(make_frames) -> None:
+    measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=40), 1.0, generator())
+    measurement["rgb"] = measurement["truth_rgb"] = torch.full((40, 3, 61, 93), 0.5)
+    out = augment(measurement, generator(1), brightness=0.2)
+    gain = out["rgb"][:, 0, 0, 0] / 0.5
+    assert 0.8 <= gain.min() < 0.85 and 1.15 < gain.max() <= 1.2
+    assert torch.equal(out["rgb"], out["truth_rgb"]) and out["rgb"].max() <= 1
+    assert (measurement["rgb"] == 0.5).all()
+
+
+def test_brightness_never_leaves_the_unit_range(make_frames) -> None:
+    measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=20), 1.0, generator())
+    measurement["rgb"] = torch.ones_like(measurement["rgb"])
+    assert augment(measurement, generator())["rgb"].max() <= 1

@@ -1,0 +1,105 @@
+"""What the configurations compose to, and how a bad one is refused."""
+
+from pathlib import Path
+
+import pytest
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
+
+from depthreg.config import CONF_DIR, compose_config, require_counts
+from depthreg.errors import InputError
+
+NEEDED = {"train": [], "render": [], "evaluate": ["checkpoint=x", "data.root=x"]}
+ONLY_WITH = {("data", "folder"): ["data.depth_scale=256"], ("data", "synthetic"): []}
+GROUPS_OF = {
+    "train": ["stage", "data", "model", "loss", "callbacks", "logger", "trainer", "preset", "experiment"],
+    "evaluate": ["data", "world", "sensor"],
+    "render": ["world", "camera"],
+}
+
+
+def choices(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF_DIR / group).glob("*.yaml"))
+
+
+def every_choice() -> list[tuple[str, str, str]]:
+    return [
+        (name, group, choice) for name, groups in GROUPS_OF.items() for group in groups for choice in choices(group)
+    ]
+
+
+@pytest.mark.parametrize(("name", "group", "choice"), every_choice())
+def test_every_choice_of_every_group_composes(name: str, group: str, choice: str) -> None:
+    needed = [] if (group, choice) == ("data", "synthetic") else NEEDED[name]
+    if group == "data" and name == "train":
+        needed = [] if choice == "synthetic" else ["data.root=x"]
+    config = compose_config(name, [f"{group}={choice}", *needed, *ONLY_WITH.get((group, choice), [])])
+    assert OmegaConf.to_container(config, resolve=True)
+
+
+def test_no_group_goes_untried() -> None:
+    folders = {path.name for path in CONF_DIR.iterdir() if path.is_dir()}
+    assert folders <= {group for groups in GROUPS_OF.values() for group in groups} | {"hydra"}
+
+
+def test_the_papers_preset_is_the_papers_experiment() -> None:
+    config = compose_config("train", ["preset=paper"])
+    assert config.data.train_count + config.data.val_count == 6000
+    assert config.data.train_count == 0.8 * 6000
+    assert (config.data.width, config.data.height) == (1242, 375)
+    assert list(config.stages) == ["joint", "completion", "full"]
+    assert [stage.epochs for stage in config.stages.values()] == [50, 50, 100]
+    loss = instantiate(config.loss)
+    assert {name: weight for name, weight in loss.weights.items() if weight} == {"depth": 0.9, "ssim": 0.02}
+    assert config.stages.joint.module.freeze_period == 2
+    assert config.stages.joint.max_corner_shift_px == config.stages.full.max_corner_shift_px == 24
+    assert len(config.stages.full.module.lr_milestones) == 2
+    assert all(0 < stage.module.weight_decay < 1e-3 for stage in config.stages.values())
+
+
+def test_the_first_stage_has_the_papers_bins() -> None:
+    scene = instantiate(compose_config("train").stages.joint.world)(0, 0)
+    assert scene.depth_bin_m == 120 / 20
+
+
+def test_one_stage_may_be_chosen() -> None:
+    assert list(compose_config("train", ["stage=completion"]).stages) == ["completion"]
+
+
+def test_a_stage_number_can_be_overridden_from_the_command_line() -> None:
+    config = compose_config("train", ["epochs.joint=3", "stages.full.epochs=7"])
+    assert [stage.epochs for stage in config.stages.values()][::2] == [3, 7]
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("data.widht=96", ["data.widht", "'data.width'"]),
+        ("lerning_rate=1", ["lerning_rate", "'learning_rate'"]),
+        ("zzzzqqqq=1", ["zzzzqqqq", "--help"]),
+        ("model=papr", ["papr", "paper", "small"]),
+        ("colour=red", ["colour"]),
+        ("data.width", ["data.width"]),
+    ],
+)
+def test_a_bad_override_is_one_sentence_that_names_it(override: str, said: list[str]) -> None:
+    with pytest.raises(InputError) as refusal:
+        compose_config("train", [override])
+    message = str(refusal.value)
+    assert "\n" not in message and len(message) < 300
+    assert all(word in message for word in said)
+
+
+@pytest.mark.parametrize("value", [0, -1, 2.5, "many", True])
+def test_a_count_has_to_be_a_positive_whole_number(value: object) -> None:
+    config = OmegaConf.create({"data": {"count": value}})
+    with pytest.raises(InputError, match=f"data.count={value}.*at least 1"):
+        require_counts(config, ["data.count"])
+
+
+def test_counts_that_are_absent_or_large_enough_pass() -> None:
+    require_counts(OmegaConf.create({"a": 3, "b": None}), ["a", "b", "c"], at_least=3)
+
+
+def test_the_configurations_lie_beside_the_package_in_a_checkout() -> None:
+    assert (CONF_DIR / "train.yaml").is_file() and Path(CONF_DIR).is_absolute()

@@ -1,0 +1,165 @@
+"""The training loss, against sums done by hand and skimage."""
+
+import hydra
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+from skimage.metrics import structural_similarity
+from torch import Tensor
+
+from depthreg.config import compose_config
+from depthreg.data.sample import Measurement
+from depthreg.geometry import identity_affine, transform_points, warp_affine
+from depthreg.losses import JointLoss, match_cross_entropy
+from depthreg.networks import JointOutput, LocalMatches
+
+SIZE = (41, 57)
+SHIFT = torch.tensor([[[1.0, 0, 2], [0, 1, -1]]])
+
+
+def make_case(
+    affine: Tensor, truth: Tensor, matches: list[LocalMatches] | None = None
+) -> tuple[JointOutput, Measurement]:
+    """Colour misaligned by `truth`, warped back by `affine`; depth is off by 2 m where it has truth, else far off."""
+    scene = torch.rand(1, 3, SIZE[0] + 20, SIZE[1] + 20, generator=torch.Generator().manual_seed(0))
+    truth_rgb = scene[..., 10:-10, 10:-10]
+    dx, dy = truth[0, :, 2].round().int().tolist()
+    rgb = scene[..., 10 - dy : 10 - dy + SIZE[0], 10 - dx : 10 - dx + SIZE[1]]
+    truth_m = torch.full((1, 1, *SIZE), 10.0)
+    truth_m[..., ::2] = 0
+    depth_m = torch.where(truth_m > 0, truth_m - 2, 90)
+    output = JointOutput(depth_m, warp_affine(rgb, affine)[0], affine, matches or [])
+    measurement = Measurement(rgb=rgb, truth_depth_m=truth_m, truth_rgb=truth_rgb, truth_affine_rgb_from_depth=truth)
+    return output, measurement
+
+
+def test_depth_counts_where_there_is_truth_and_in_metres() -> None:
+    losses = JointLoss(depth_weight=0.5, ssim_weight=0)(*make_case(SHIFT, SHIFT))
+    assert losses["depth"].item() == pytest.approx(2.0)
+    assert losses["total"].item() == pytest.approx(1.0)
+
+
+def test_without_any_depth_truth_the_term_is_zero_and_its_slope_finite() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)
+    measurement["truth_depth_m"] = torch.zeros(1, 1, *SIZE)
+    depth_m = output.depth_m.requires_grad_()
+    loss = JointLoss(ssim_weight=0)(output._replace(depth_m=depth_m), measurement)["total"]
+    loss.backward()
+    assert loss == 0 and depth_m.grad.isfinite().all()
+
+
+def test_a_perfect_alignment_costs_nothing_though_its_border_is_black() -> None:
+    losses = JointLoss(0, 1, 1)(*make_case(SHIFT, SHIFT))
+    assert losses["ssim"].item() == pytest.approx(0, abs=1e-4)
+    assert losses["corner"].item() == pytest.approx(0, abs=1e-6)
+
+
+def test_the_colour_term_is_one_minus_skimages_similarity_over_what_the_warp_saw() -> None:
+    wider = torch.tensor([[[1.2, 0, -5.0], [0, 1.2, -5.0]]])  # looks beyond the image on all four sides
+    output, measurement = make_case(wider, SHIFT)
+    similarity = structural_similarity(
+        *(image[0].numpy() for image in (output.rgb_aligned, measurement["truth_rgb"])),
+        channel_axis=0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        data_range=1,
+        full=True,
+    )[1].mean(axis=0)
+    seen = warp_affine(measurement["rgb"], wider)[1][0, 0].numpy()
+    whole_window = ndimage.binary_erosion(seen, np.ones((11, 11)))
+    assert 100 < whole_window.sum() < seen.sum()
+    ours = JointLoss(0, 1)(output, measurement)["ssim"].item()
+    assert ours == pytest.approx(1 - similarity[whole_window].mean(), abs=1e-3)
+
+
+def test_the_corner_term_is_in_percent_of_the_width() -> None:
+    moved = SHIFT + torch.tensor([[0, 0, 3.0], [0, 0, 4.0]])
+    losses = JointLoss(0, 0, corner_weight=1)(*make_case(moved, SHIFT))
+    assert losses["corner"].item() == pytest.approx(100 * 5 / SIZE[1], rel=1e-5)
+
+
+def make_matches(shift_px: tuple[float, float], sharpness: float = 4.0) -> LocalMatches:
+    """Scores that peak at one displacement, whatever the place."""
+    side = torch.arange(-2.0, 3.0) * 4
+    dy, dx = torch.meshgrid(side, side, indexing="ij")
+    offsets_px = torch.stack([dx, dy], dim=-1).reshape(-1, 2)
+    points_px = torch.tensor([[5.0, 6.0], [40.0, 8.0], [22.0, 30.0]])
+    distance = (offsets_px - torch.tensor(shift_px)).abs().sum(-1) / 4
+    scores = (-sharpness * distance).expand(1, 3, -1)
+    return LocalMatches(points_px, offsets_px, scores, identity_affine(1))
+
+
+def translation(x: float, y: float) -> Tensor:
+    return identity_affine(1) + torch.tensor([[0, 0, x], [0, 0, y]])
+
+
+def test_cross_entropy_is_lowest_at_the_true_displacement() -> None:
+    truth = translation(4, -8)
+    cost = {
+        (x, y): match_cross_entropy(make_matches((x, y)), truth).item()
+        for x in (-8, -4, 0, 4, 8)
+        for y in (-8, -4, 0, 4, 8)
+    }
+    assert min(cost, key=cost.get) == (4, -8)
+
+
+def test_cross_entropy_equals_that_of_torch_where_the_truth_is_a_candidate() -> None:
+    matches = make_matches((0.0, 4.0), sharpness=0.7)
+    index = matches.offsets_px.tolist().index([8.0, -4.0])
+    expected = torch.nn.functional.cross_entropy(matches.scores[0], torch.full((3,), index))
+    torch.testing.assert_close(match_cross_entropy(matches, translation(8, -4)), expected)
+
+
+def test_a_truth_between_candidates_is_shared_among_them() -> None:
+    matches = make_matches((0.0, 0.0), sharpness=0.7)
+    by_candidate = {xy: match_cross_entropy(matches, translation(*xy)).item() for xy in ((0, 0), (4, 0))}
+    between = match_cross_entropy(matches, translation(1, 0)).item()
+    assert between == pytest.approx(0.75 * by_candidate[0, 0] + 0.25 * by_candidate[4, 0], rel=1e-5)
+
+
+def test_only_what_is_left_to_do_is_asked_of_a_matcher() -> None:
+    turned = torch.tensor([[[0.98, 0.05, 1.0], [-0.04, 1.03, 6.0]]])
+    done = make_matches((0.0, 0.0))._replace(affine_before=turned)
+    to_do = make_matches((0.0, 0.0))
+    torch.testing.assert_close(
+        match_cross_entropy(done, turned), match_cross_entropy(to_do, identity_affine(1)), atol=1e-5, rtol=0
+    )
+
+
+def test_a_displacement_beyond_the_candidates_teaches_nothing() -> None:
+    matches = make_matches((0.0, 0.0))
+    scores = matches.scores.clone().requires_grad_()
+    match_cross_entropy(matches._replace(scores=scores), translation(60, 0)).backward()
+    assert scores.grad.abs().max() == 0
+
+
+def test_learning_by_cross_entropy_finds_a_turned_and_shifted_truth() -> None:
+    matches = make_matches((0.0, 0.0))
+    truth = torch.tensor([[[1.0, -0.05, 3.0], [0.05, 1.0, -2.0]]])
+    scores = torch.zeros(1, 3, 25, requires_grad=True)
+    optimizer = torch.optim.Adam([scores], lr=0.3)
+    for _ in range(80):
+        optimizer.zero_grad()
+        match_cross_entropy(matches._replace(scores=scores), truth).backward()
+        optimizer.step()
+    found = scores.detach().softmax(-1) @ matches.offsets_px
+    wanted = transform_points(truth, matches.points_px) - matches.points_px
+    torch.testing.assert_close(found, wanted, atol=0.1, rtol=0)
+
+
+def test_the_total_is_the_weighted_sum_of_its_terms() -> None:
+    case = make_case(SHIFT, SHIFT + 0.5, [make_matches((0.0, 0.0)), make_matches((4.0, 0.0))])
+    weights = {"depth": 0.3, "ssim": 0.2, "corner": 1.5, "match": 0.7}
+    losses = JointLoss(**{f"{name}_weight": weight for name, weight in weights.items()})(*case)
+    assert losses.keys() == {"total", *weights}
+    expected = sum(weight * losses[name].item() for name, weight in weights.items())
+    assert losses["total"].item() == pytest.approx(expected, rel=1e-5)
+    mean = np.mean([match_cross_entropy(m, SHIFT + 0.5).item() for m in case[0].matches])
+    assert losses["match"].item() == pytest.approx(mean, rel=1e-5)
+
+
+def test_the_papers_loss_is_composed_with_the_papers_weights() -> None:
+    loss = hydra.utils.instantiate(compose_config("train", ["loss=paper"]).loss)
+    assert loss.weights == {"depth": 0.9, "ssim": 0.02, "corner": 0, "match": 0}

@@ -1,0 +1,143 @@
+"""`depthreg train` as a user runs it, with the smallest of everything."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+
+from depthreg.checkpoint import load_network
+from depthreg.cli import main
+
+STAGES = ("joint", "completion", "full")
+TINY = [
+    "data.width=80",
+    "data.height=64",
+    "data.train_count=4",
+    "data.val_count=2",
+    "data.batch_size=2",
+    "data.workers=0",
+    "model.completion_widths=[16,16]",
+    "trainer.accelerator=cpu",
+    *(f"epochs.{name}=1" for name in STAGES),
+]
+
+Train = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory: pytest.TempPathFactory) -> Train:
+    """Runs the command in a folder of its own and gives the run's folder; rendered frames are shared."""
+    frames = tmp_path_factory.mktemp("frames")
+
+    def run(*overrides: str) -> Path:
+        folder = tmp_path_factory.mktemp("here")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            assert main(["train", *TINY, f"data.cache_dir={frames}", "logger=csv", *overrides]) == 0
+        assert [path.name for path in folder.iterdir()] == ["runs"]
+        (run_folder,) = (folder / "runs").iterdir()
+        return run_folder
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def curriculum(train: Train) -> Path:
+    """The run's folder of a whole curriculum."""
+    return train()
+
+
+def weights(path: Path) -> dict[str, torch.Tensor]:
+    return torch.load(path, weights_only=True)["state_dict"]
+
+
+@pytest.mark.parametrize("name", STAGES)
+def test_each_stage_leaves_checkpoints_a_log_and_pictures(name: str, curriculum: Path) -> None:
+    folder = curriculum / name
+    for checkpoint in ("last.ckpt", "best.ckpt"):
+        network = load_network(folder / checkpoint)
+        assert network.config["completion_widths"] == [16, 16]
+    header = (folder / "metrics.csv").read_text().splitlines()[0].split(",")
+    assert {"train/loss", "train/difficulty", "val/loss", "val/rmse_m", "val/corner_error_px"} <= set(header)
+    pictures = list((folder / "panels").glob("*.png"))
+    assert len(pictures) == 2 and all(cv2.imread(str(path)) is not None for path in pictures)
+
+
+def test_the_run_ends_with_a_table_and_pictures(curriculum: Path) -> None:
+    table = (curriculum / "metrics.md").read_text()
+    assert all(word in table for word in ("ours", "nearest", "identity", "RMSE (m)", "corner mean (px)"))
+    assert (curriculum / "metrics.csv").read_text().count("\n") > 10
+    assert len(list((curriculum / "panels").glob("*.png"))) == 2
+
+
+def test_the_stages_follow_each_other_in_the_papers_order(curriculum: Path) -> None:
+    times = [(curriculum / name / "last.ckpt").stat().st_mtime_ns for name in STAGES]
+    assert times == sorted(times)
+    stages = [torch.load(curriculum / name / "last.ckpt", weights_only=True)["depthreg"]["stage"] for name in STAGES]
+    assert stages == list(STAGES)
+
+
+def test_completion_starts_from_the_first_stage_and_keeps_its_registration(curriculum: Path) -> None:
+    joint, completion, full = (weights(curriculum / name / "last.ckpt") for name in STAGES)
+    registration = [key for key in joint if not key.startswith("network.completion.")]
+    assert registration
+    assert all(torch.equal(joint[key], completion[key]) for key in registration)
+    assert any(not torch.equal(completion[key], full[key]) for key in registration)
+
+
+def test_one_stage_starts_from_the_weights_it_is_given(curriculum: Path, train: Train) -> None:
+    start = curriculum / "joint" / "last.ckpt"
+    alone = train("stage=completion", f"init_from={start}")
+    assert not (alone / "joint").exists()
+    given, ours = weights(start), weights(alone / "completion" / "last.ckpt")
+    in_the_walk = weights(curriculum / "completion" / "last.ckpt")
+    registration = [key for key in given if not key.startswith("network.completion.")]
+    assert all(torch.equal(given[key], ours[key]) for key in registration)
+    assert all(torch.equal(in_the_walk[key], ours[key]) for key in given)  # as if it had walked there
+
+
+def test_a_resumed_run_ends_where_the_uninterrupted_one_does(train: Train, tmp_path: Path) -> None:
+    keep = {
+        "_target_": "lightning.pytorch.callbacks.ModelCheckpoint",
+        "dirpath": tmp_path,
+        "filename": "'{epoch}'",
+        "auto_insert_metric_name": "false",
+        "monitor": "val/loss",
+        "mode": "max",  # tells it from the other callbacks of its kind
+        "save_top_k": -1,  # every epoch's, as an interruption could have left it
+    }
+    only = ["stage=joint", "epochs.joint=3", "callbacks.panels=null"]
+    uninterrupted = train(*only, *(f"+callbacks.keep.{key}={value}" for key, value in keep.items()))
+    resumed = train(*only, f"resume={tmp_path / '0.ckpt'}")
+    ours, theirs = (weights(folder / "joint" / "last.ckpt") for folder in (resumed, uninterrupted))
+    assert [key for key in theirs if not torch.equal(ours[key], theirs[key])] == []
+
+
+def test_a_resumed_stage_is_followed_by_the_later_ones(curriculum: Path, train: Train) -> None:
+    resumed = train(f"resume={curriculum / 'completion' / 'last.ckpt'}", "epochs.completion=2")
+    assert not (resumed / "joint").exists()
+    assert (resumed / "completion" / "last.ckpt").exists() and (resumed / "full" / "last.ckpt").exists()
+
+
+def test_two_runs_of_one_seed_are_one(curriculum: Path, train: Train) -> None:
+    again = weights(train("stage=joint") / "joint" / "last.ckpt")
+    assert all(torch.equal(value, again[key]) for key, value in weights(curriculum / "joint" / "last.ckpt").items())
+
+
+def test_each_stage_has_a_wandb_run_of_its_own_that_stays_offline(train: Train) -> None:
+    folder = train("logger=wandb", "callbacks.panels=null")
+    for name in STAGES:
+        (run,) = (folder / name / "wandb").glob("offline-run-*")
+        assert list(run.glob("*.wandb"))
+
+
+def test_the_papers_preset_trains(train: Train) -> None:
+    """At the size of `TINY`'s frames; the network and the loss are the paper's."""
+    widths = "model.completion_widths=[64,128,256,512]"  # TINY narrows them
+    folder = train("preset=paper", "stage=full", widths, "data.val_count=1", "data.train_count=2")
+    network = load_network(folder / "full" / "last.ckpt")
+    assert sum(parameter.numel() for parameter in network.parameters()) == pytest.approx(5.2e6, rel=0.05)
+    header = (folder / "full" / "metrics.csv").read_text().splitlines()[0].split(",")
+    assert {"train/depth_loss", "train/ssim_loss"} <= set(header) and "train/corner_loss" not in header
