@@ -48,9 +48,7 @@ class BlocksWorld:
         pose = camera_from_world(
             (0.0, 0.0, _CAMERA_HEIGHT_M), pitch_deg=rng.uniform(-1.5, 2.5), roll_deg=rng.uniform(-1.5, 1.5)
         )
-        return Scene(
-            objects, _light(rng), pose, lidar_from_camera(), depth_bin_m=self.max_depth_m / self.bins
-        )
+        return Scene(objects, _light(rng), pose, lidar_from_camera(), depth_bin_m=self.max_depth_m / self.bins)
 
 
 def _light(rng: np.random.Generator) -> Light:
@@ -58,9 +56,7 @@ def _light(rng: np.random.Generator) -> Light:
     azimuth, elevation = -rng.uniform(0.1, np.pi - 0.1), np.radians(rng.uniform(25, 70))
     direction = (np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation))
     sun, ambient = rng.uniform(0.6, 1.2), rng.uniform(0.4, 0.6)
-    return Light(
-        np.array(direction), (sun, 0.95 * sun, 0.87 * sun), (0.93 * ambient, 0.97 * ambient, ambient)
-    )
+    return Light(np.array(direction), (sun, 0.95 * sun, 0.87 * sun), (0.93 * ambient, 0.97 * ambient, ambient))
 
 
 def _color(rng: np.random.Generator, saturation: float) -> RGB:
@@ -78,9 +74,7 @@ def _material(rng: np.random.Generator, saturation: float = 0.6) -> Material:
 def _backdrop(rng: np.random.Generator, wall_y: float) -> list[SceneObject]:
     """A wall across the view and slabs before it, so that the upper half of the image has edges too."""
     half_width = _HALF_VIEW * wall_y + 10.0
-    objects = assemble(
-        "wall", [Part("box", (800.0, 1.0, 300.0), (0.0, wall_y + 0.5, 0.0), _material(rng, 0.25))]
-    )
+    objects = assemble("wall", [Part("box", (800.0, 1.0, 300.0), (0.0, wall_y + 0.5, 0.0), _material(rng, 0.25))])
     x = -half_width
     while x < half_width:
         width = wall_y * rng.uniform(0.08, 0.4)
@@ -122,8 +116,7 @@ def _solid(rng: np.random.Generator, x: float, y: float, radius: float, height: 
     elif kind == "gate":
         post = 0.35 * radius
         parts = [
-            Part("box", (post, post, height), (place, 0, 0), material)
-            for place in (-0.75 * radius, 0.75 * radius)
+            Part("box", (post, post, height), (place, 0, 0), material) for place in (-0.75 * radius, 0.75 * radius)
         ]
         parts.append(Part("box", (1.5 * radius + post, post, post), (0, 0, height), _material(rng)))
     else:

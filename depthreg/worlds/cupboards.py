@@ -14,13 +14,9 @@ def bookcase(rng: np.random.Generator, palette: Palette) -> Furniture:
     width, depth, height, board = rng.uniform(0.7, 1.3), rng.uniform(0.26, 0.36), rng.uniform(1.0, 2.1), 0.022
     body = pick(rng, (palette.wood, palette.wood, palette.paint))
     levels = np.linspace(0.06, height - board, max(3, round(height / 0.36)))
-    parts = [
-        Part("box", (board, depth, height), (x, depth / 2, 0), body) for x in mirrored((width - board) / 2)
-    ]
+    parts = [Part("box", (board, depth, height), (x, depth / 2, 0), body) for x in mirrored((width - board) / 2)]
     parts.append(Part("box", (width, 0.01, height - 0.02), (0, 0.005, 0.01), body))
-    parts += [
-        Part("box", (width - board, depth - 0.01, board), (0, depth / 2, float(z)), body) for z in levels
-    ]
+    parts += [Part("box", (width - board, depth - 0.01, board), (0, depth / 2, float(z)), body) for z in levels]
     inner = width - 2 * board
     for low, high in pairwise(levels):
         parts += _books(rng, palette, inner, float(low) + board, float(high - low) - board, depth)
@@ -28,9 +24,7 @@ def bookcase(rng: np.random.Generator, palette: Palette) -> Furniture:
     return Furniture("bookcase", parts, width, depth, height, (top,) if height < 1.5 else ())
 
 
-def _books(
-    rng: np.random.Generator, palette: Palette, width: float, z: float, room: float, depth: float
-) -> list[Part]:
+def _books(rng: np.random.Generator, palette: Palette, width: float, z: float, room: float, depth: float) -> list[Part]:
     """Books, boxes and gaps from left to right on one board."""
     parts: list[Part] = []
     x = -width / 2 + 0.01
@@ -71,13 +65,9 @@ def cabinet(
     for column in range(columns):
         for row in range(rows):
             x, z = (column + 0.5) * door_width - width / 2, 0.09 + row * door_height
-            parts.append(
-                Part("box", (door_width - 0.008, 0.02, door_height - 0.008), (x, depth - 0.02, z), front)
-            )
+            parts.append(Part("box", (door_width - 0.008, 0.02, door_height - 0.008), (x, depth - 0.02, z), front))
             handle_z = z + door_height - 0.07 if door_height < 1.0 else 1.0
-            parts.append(
-                Part("box", (min(0.14, 0.5 * door_width), 0.025, 0.015), (x, depth, handle_z), palette.metal)
-            )
+            parts.append(Part("box", (min(0.14, 0.5 * door_width), 0.025, 0.015), (x, depth, handle_z), palette.metal))
     top = (Surface((0, depth / 2, height), width, depth),) if height < 1.5 else ()
     return Furniture("cabinet", parts, width, depth + 0.015, height, top)
 
@@ -172,9 +162,7 @@ def television(rng: np.random.Generator, palette: Palette) -> Furniture:
     board = cabinet(rng, palette, width, depth, height, 1, 3)
     size = rng.uniform(0.8, 1.1)
     side = (width - 0.5 * size) / 2
-    free = tuple(
-        Surface((x, depth / 2, height), 0.4 * side, depth) for x in mirrored(width / 2 - 0.25 * side)
-    )
+    free = tuple(Surface((x, depth / 2, height), 0.4 * side, depth) for x in mirrored(width / 2 - 0.25 * side))
     return Furniture(
         "television", board.parts + screen(size, (0, 0.2, height), palette), width, depth + 0.015, 1.3, free
     )

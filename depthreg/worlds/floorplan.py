@@ -2,9 +2,7 @@
 
 import numpy as np
 
-Pose = tuple[
-    tuple[float, float, float], float
-]  # where the middle of a piece's back goes, and its yaw in degrees
+Pose = tuple[tuple[float, float, float], float]  # where the middle of a piece's back goes, and its yaw in degrees
 
 _GAP_M = 0.03  # between neighbours along a wall
 _TRIES = 12
@@ -55,9 +53,7 @@ class Floorplan:
                 return (float(at[0]), float(at[1]), bottom), 90.0 * wall
         return None
 
-    def in_the_open(
-        self, rng: np.random.Generator, width: float, depth: float, clearance_m: float
-    ) -> Pose | None:
+    def in_the_open(self, rng: np.random.Generator, width: float, depth: float, clearance_m: float) -> Pose | None:
         """Take a free rectangle that keeps clear of everything else; None where nothing was found."""
         for _ in range(_TRIES):
             quarter = int(rng.integers(4))
@@ -93,6 +89,4 @@ class Floorplan:
 
     @staticmethod
     def _free(box: np.ndarray, taken: list[np.ndarray], gap_m: float = _GAP_M) -> bool:
-        return all(
-            (box[2:] + gap_m <= other[:2]).any() or (other[2:] + gap_m <= box[:2]).any() for other in taken
-        )
+        return all((box[2:] + gap_m <= other[:2]).any() or (other[2:] + gap_m <= box[:2]).any() for other in taken)

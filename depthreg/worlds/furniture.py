@@ -81,15 +81,10 @@ def sofa(rng: np.random.Generator, palette: Palette, seats: int | None = None) -
         Part("box", (width, depth - 0.03, 0.26), (0, depth / 2, 0.06), cloth),
         Part("box", (width, 0.22, back - 0.06), (0, 0.11, 0.06), cloth),
         *(Part("box", (arm, depth, 0.54), (x, depth / 2, 0.06), cloth) for x in mirrored((width - arm) / 2)),
-        *(
-            Part("box", (0.05, 0.05, 0.06), (x, y + 0.1, 0), palette.dark)
-            for x, y in _four(width - 0.2, depth - 0.2)
-        ),
+        *(Part("box", (0.05, 0.05, 0.06), (x, y + 0.1, 0), palette.dark) for x, y in _four(width - 0.2, depth - 0.2)),
     ]
     for x in 0.65 * (np.arange(seats) - (seats - 1) / 2):
-        parts.append(
-            Part("box", (0.64, depth - 0.24, 0.14), (x, 0.24 + (depth - 0.24) / 2, seat - 0.12), cloth)
-        )
+        parts.append(Part("box", (0.64, depth - 0.24, 0.14), (x, 0.24 + (depth - 0.24) / 2, seat - 0.12), cloth))
         parts.append(Part("box", (0.62, 0.14, 0.38), (x, 0.29, seat), cloth))
         if rng.random() < 0.4:
             parts.append(Part("box", (0.38, 0.12, 0.36), (x, 0.44, seat + 0.02), pick(rng, palette.bright)))
@@ -143,10 +138,7 @@ def bed(rng: np.random.Generator, palette: Palette) -> Furniture:
     parts = [
         Part("box", (width, length, 0.2), (0, length / 2, 0.1), palette.wood),
         Part("box", (width, 0.06, rng.uniform(0.8, 1.1)), (0, 0.03, 0), palette.wood),
-        *(
-            Part("box", (0.07, 0.07, 0.1), (x, y + 0.05, 0), palette.wood)
-            for x, y in _four(width - 0.1, length - 0.1)
-        ),
+        *(Part("box", (0.07, 0.07, 0.1), (x, y + 0.05, 0), palette.wood) for x, y in _four(width - 0.1, length - 0.1)),
         Part("box", (width - 0.06, length - 0.14, 0.2), (0, length / 2, 0.3), palette.linen),
         Part("box", (width + 0.02, length - 0.62, 0.12), (0, length / 2 + 0.28, 0.42), palette.fabric),
     ]

@@ -74,12 +74,8 @@ class HouseholdWorld:
         pieces, landmarks = _furnish(rng, _ROOMS[kind], palette, plan)
         objects += pieces + wall_things.decorations(rng, palette, plan, height)
         lamp = (width * rng.uniform(0.35, 0.65), depth * rng.uniform(0.35, 0.65), height)
-        objects += assemble(
-            "ceiling lamp", [Part("cylinder", (0.4, 0.4, 0.06), (0, 0, -0.06), palette.linen)], lamp
-        )
-        return Scene(
-            objects, _light(rng, lamp), _camera(rng, plan, landmarks), lidar_from_camera(_LIDAR_IN_CAMERA_M)
-        )
+        objects += assemble("ceiling lamp", [Part("cylinder", (0.4, 0.4, 0.06), (0, 0, -0.06), palette.linen)], lamp)
+        return Scene(objects, _light(rng, lamp), _camera(rng, plan, landmarks), lidar_from_camera(_LIDAR_IN_CAMERA_M))
 
 
 def _shell(rng: np.random.Generator, kind: str, size_m: Vector) -> list[SceneObject]:
@@ -120,11 +116,7 @@ def _furnish(
     landmarks = [(plan.width_m / 2, plan.depth_m / 2, 0.7, 0.0)]
     for piece, pose in placed:
         if pose is not None:
-            things = [
-                part
-                for s in piece.surfaces
-                for part in scatter(rng, palette, s, tries=int(rng.integers(6, 24)))
-            ]
+            things = [part for s in piece.surfaces for part in scatter(rng, palette, s, tries=int(rng.integers(6, 24)))]
             objects += assemble(piece.name, piece.parts, *pose) + assemble("things", things, *pose)
             (x, y, _), yaw = pose[0], np.radians(pose[1])
             half = piece.depth_m / 2

@@ -96,15 +96,10 @@ def draw_palette(rng: np.random.Generator) -> Palette:
         linen=Material((0.75, 0.74, 0.71)),
         metal=Material((0.5, 0.5, 0.52), gloss=0.3),
         dark=Material((0.03, 0.03, 0.035), gloss=0.08),
-        stone=Material(
-            _hsv(0.1, 0.1, rng.uniform(0.04, 0.6)), "noise", (0.35, 0.34, 0.33), 0.4, seed=_seed(rng)
-        ),
+        stone=Material(_hsv(0.1, 0.1, rng.uniform(0.04, 0.6)), "noise", (0.35, 0.34, 0.33), 0.4, seed=_seed(rng)),
         leaf=Material((0.08, 0.2, 0.04), "noise", (0.15, 0.3, 0.07), 0.3),
-        tile=Material(
-            _hsv(rng.random(), rng.uniform(0, 0.3), 0.65), "tiles", (0.6, 0.6, 0.58), 0.1, gloss=0.05
-        ),
+        tile=Material(_hsv(rng.random(), rng.uniform(0, 0.3), 0.65), "tiles", (0.6, 0.6, 0.58), 0.1, gloss=0.05),
         bright=tuple(
-            Material(_hsv(rng.normal(k / 10, 0.05), rng.beta(1.2, 1.5), rng.uniform(0.05, 0.75)))
-            for k in range(10)
+            Material(_hsv(rng.normal(k / 10, 0.05), rng.beta(1.2, 1.5), rng.uniform(0.05, 0.75))) for k in range(10)
         ),
     )

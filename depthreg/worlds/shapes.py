@@ -73,15 +73,11 @@ def _foliage(leaves: int = 60) -> trimesh.Trimesh:
     """Pointed leaves that grow outwards and upwards from the middle of the base."""
     rng = np.random.default_rng(0)
     azimuth, lift = rng.uniform(0, 2 * np.pi, leaves), rng.uniform(0.1, 1.4, leaves)
-    outwards = np.stack(
-        [np.cos(azimuth) * np.cos(lift), np.sin(azimuth) * np.cos(lift), np.sin(lift)], axis=1
-    )
+    outwards = np.stack([np.cos(azimuth) * np.cos(lift), np.sin(azimuth) * np.cos(lift), np.sin(lift)], axis=1)
     sideways = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(leaves)], axis=1)
     reach = rng.uniform(0.5, 1.0, leaves)[:, None]
     tip, widest = outwards * reach, outwards * reach * 0.6 + [0, 0, 0.08]
-    corners = np.stack(
-        [outwards * reach * 0.2, widest - 0.07 * sideways, tip, widest + 0.07 * sideways], axis=1
-    )
+    corners = np.stack([outwards * reach * 0.2, widest - 0.07 * sideways, tip, widest + 0.07 * sideways], axis=1)
     faces = (4 * np.arange(leaves)[:, None, None] + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
     return trimesh.Trimesh(corners.reshape(-1, 3) * (0.5, 0.5, 1.0), faces, process=False)
 
@@ -132,9 +128,7 @@ def join(parts: list[Part], at_m: Vector = (0, 0, 0), yaw_deg: float = 0.0) -> t
     return trimesh.Trimesh(standing, np.concatenate(faces), process=False)
 
 
-def assemble(
-    name: str, parts: list[Part], at_m: Vector = (0, 0, 0), yaw_deg: float = 0.0
-) -> list[SceneObject]:
+def assemble(name: str, parts: list[Part], at_m: Vector = (0, 0, 0), yaw_deg: float = 0.0) -> list[SceneObject]:
     """Stand a thing in the world.
 
     Args:

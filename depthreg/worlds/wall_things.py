@@ -12,9 +12,7 @@ from depthreg.worlds.small_things import scatter
 _DAYLIGHT = Material((1.5, 1.6, 1.7))  # brighter than any paint: it shines by itself
 
 
-def openings(
-    rng: np.random.Generator, palette: Palette, plan: Floorplan, height_m: float
-) -> list[SceneObject]:
+def openings(rng: np.random.Generator, palette: Palette, plan: Floorplan, height_m: float) -> list[SceneObject]:
     """A door and one to three windows; they come before the furniture, which keeps the door free."""
     objects: list[SceneObject] = []
     pose = plan.along_wall(rng, 0.95, 0.8, 0.0, 2.1)
@@ -29,9 +27,7 @@ def openings(
     return objects
 
 
-def decorations(
-    rng: np.random.Generator, palette: Palette, plan: Floorplan, height_m: float
-) -> list[SceneObject]:
+def decorations(rng: np.random.Generator, palette: Palette, plan: Floorplan, height_m: float) -> list[SceneObject]:
     """Pictures, boards and notes on what is left of the walls."""
     objects: list[SceneObject] = []
     for _ in range(int(rng.integers(4, 10))):
@@ -67,10 +63,7 @@ def _window(rng: np.random.Generator, palette: Palette, width: float, height: fl
     parts = [
         Part("box", (width, 0.01, height), (0, 0.005, 0), _DAYLIGHT),
         Part("box", (width + 0.1, 0.16, 0.03), (0, 0.08, -0.03), palette.paint),
-        *(
-            Part("box", (bar, 0.05, height), (x, 0.025, 0), palette.paint)
-            for x in (*mirrored((width - bar) / 2), 0.0)
-        ),
+        *(Part("box", (bar, 0.05, height), (x, 0.025, 0), palette.paint) for x in (*mirrored((width - bar) / 2), 0.0)),
         *(Part("box", (width, 0.05, bar), (0, 0.025, z), palette.paint) for z in (0.0, height - bar)),
     ]
     if rng.random() < 0.6:

@@ -24,9 +24,7 @@ def frames() -> list[Frame]:
 def fingerprint(scene: Scene) -> str:
     digest = hashlib.sha256(scene.camera_from_world.tobytes() + repr(scene.light).encode())
     for thing in scene.objects:
-        digest.update(
-            thing.mesh.vertices.tobytes() + thing.mesh.faces.tobytes() + repr(thing.material).encode()
-        )
+        digest.update(thing.mesh.vertices.tobytes() + thing.mesh.faces.tobytes() + repr(thing.material).encode())
     return digest.hexdigest()
 
 
@@ -56,9 +54,7 @@ def test_depths_are_spread_over_many_bins(frames: list[Frame]) -> None:
 def test_depth_edges_lie_in_all_quarters_of_the_image(frames: list[Frame]) -> None:
     quarters = np.zeros(4)
     for frame in frames:
-        steps = (
-            np.abs(np.diff(frame.depth_m, axis=1)[:36]) > 6
-        )  # across the columns: edges of things, not of bins
+        steps = np.abs(np.diff(frame.depth_m, axis=1)[:36]) > 6  # across the columns: edges of things, not of bins
         quarters += [part.mean() for half in np.split(steps, 2) for part in np.split(half, 2, axis=1)]
     assert quarters.min() > 0.25 * quarters.max()
 

@@ -103,9 +103,7 @@ def test_small_things_stand_on_their_surface_and_do_not_stick_out() -> None:
 
 
 def _footprint(width: float, depth: float, pose: Pose) -> np.ndarray:
-    (thing,) = assemble(
-        "piece", [Part("box", (width, depth, 1.0), (0, depth / 2, 0), Material((1, 1, 1)))], *pose
-    )
+    (thing,) = assemble("piece", [Part("box", (width, depth, 1.0), (0, depth / 2, 0), Material((1, 1, 1)))], *pose)
     return thing.mesh.bounds[:, :2]
 
 
