@@ -15,6 +15,11 @@ def identity_affine(batch: int, *, device: torch.device | None = None, dtype: to
     return torch.eye(2, 3, device=device, dtype=dtype).expand(batch, 2, 3).contiguous()
 
 
+def exact_product(a: Tensor, b: Tensor) -> Tensor:
+    """`a @ b`, (..., N, M) by (..., M, K), element by element: mixed precision would round pixels to half precision."""
+    return (a[..., :, :, None] * b[..., None, :, :]).sum(dim=-2)
+
+
 def _as_square(affine: Tensor) -> Tensor:
     last_row = affine.new_tensor([0.0, 0.0, 1.0]).expand(*affine.shape[:-2], 1, 3)
     return torch.cat([affine, last_row], dim=-2)  # (..., 3, 3)
@@ -30,12 +35,12 @@ def invert_affine(affine: Tensor) -> Tensor:
 
 def compose_affines(outer: Tensor, inner: Tensor) -> Tensor:
     """Apply `inner` first, then `outer`; both (..., 2, 3)."""
-    return outer @ _as_square(inner)
+    return exact_product(outer, _as_square(inner))
 
 
 def transform_points(affine: Tensor, points_px: Tensor) -> Tensor:
     """Move points (..., N, 2) given as (x, y) by affines (..., 2, 3)."""
-    return points_px @ affine[..., :2].transpose(-1, -2) + affine[..., None, :, 2]
+    return exact_product(points_px, affine[..., :2].transpose(-1, -2)) + affine[..., None, :, 2]
 
 
 def pixel_grid(

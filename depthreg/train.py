@@ -68,7 +68,12 @@ def check(config: DictConfig) -> None:
 
 
 def _resumed_stage(config: DictConfig) -> str:
-    stage = read_checkpoint(Path(config.resume))["depthreg"]["stage"]
+    checkpoint = read_checkpoint(Path(config.resume))
+    if "optimizer_states" not in checkpoint:
+        raise InputError(
+            f"resume={config.resume} holds weights alone: expected a last.ckpt, or init_from={config.resume}"
+        )
+    stage = checkpoint["depthreg"]["stage"]
     if stage not in config.stages:
         raise InputError(f"resume={config.resume} is of stage {stage}: expected one of {', '.join(config.stages)}")
     return stage

@@ -46,9 +46,7 @@ class KnownAnswer(nn.Module):
         return JointOutput(scene_m, warp_affine(rgb, affine)[0], affine, [])
 
 
-def _write_depth(
-    path: Path, height: int = HEIGHT, width: int = WIDTH, keep: float = 0.2, seed: int = 0
-) -> None:
+def _write_depth(path: Path, height: int = HEIGHT, width: int = WIDTH, keep: float = 0.2, seed: int = 0) -> None:
     """A fifth of the scene's pixels as KITTI stores them; the four corners below the sky are among them."""
     kept = np.random.default_rng(seed).random((height, width)) < keep
     kept[:8] = False
@@ -118,9 +116,7 @@ def test_the_cloud_is_the_believable_coloured_part_unprojected(inputs):
     believable[:8] = believable[SPOT] = believable[:, -SHIFT_PX[0] :] = False
     y, x = np.nonzero(believable)
     z = _scene_m()[y, x]
-    np.testing.assert_allclose(
-        points_m, np.stack([(x - 44) / 80 * z, (y - 31) / 85 * z, z], axis=1), atol=1e-4
-    )
+    np.testing.assert_allclose(points_m, np.stack([(x - 44) / 80 * z, (y - 31) / 85 * z, z], axis=1), atol=1e-4)
     photo = cv2.imread(str(inputs / "photo.png"))[..., ::-1]
     assert np.abs(rgb.astype(int) - photo[y + SHIFT_PX[1], x + SHIFT_PX[0]]).max() <= 1
 
@@ -129,9 +125,7 @@ def test_the_summary_says_what_happened(inputs, capsys):
     _run("photo.png", "sparse.png", "--depth-scale", "1000")
     printed = capsys.readouterr().out
     assert "out" in printed and "91x67" in printed and "(+3.0, -2.0) px" in printed and "+0.00 deg" in printed
-    assert (
-        "ends at 65.53 m" in printed or "ends at 65.54 m" in printed
-    )  # 150 m don't fit 16 bits of millimetres
+    assert "ends at 65.53 m" in printed or "ends at 65.54 m" in printed  # 150 m don't fit 16 bits of millimetres
 
 
 @pytest.mark.parametrize("kind", ["tiff", "npy", "npz", "nan"])

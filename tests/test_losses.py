@@ -91,6 +91,10 @@ def make_matches(shift_px: tuple[float, float], sharpness: float = 4.0) -> Local
     return LocalMatches(points_px, offsets_px, scores, identity_affine(1))
 
 
+def square(affine: Tensor) -> np.ndarray:
+    return np.vstack([affine[0].numpy(), [0, 0, 1]])
+
+
 def translation(x: float, y: float) -> Tensor:
     return identity_affine(1) + torch.tensor([[0, 0, x], [0, 0, y]])
 
@@ -120,12 +124,12 @@ def test_a_truth_between_candidates_is_shared_among_them() -> None:
 
 
 def test_only_what_is_left_to_do_is_asked_of_a_matcher() -> None:
-    turned = torch.tensor([[[0.98, 0.05, 1.0], [-0.04, 1.03, 6.0]]])
-    done = make_matches((0.0, 0.0))._replace(affine_before=turned)
-    to_do = make_matches((0.0, 0.0))
-    torch.testing.assert_close(
-        match_cross_entropy(done, turned), match_cross_entropy(to_do, identity_affine(1)), atol=1e-5, rtol=0
-    )
+    before = torch.tensor([[[0.7, 0.5, 1.0], [-0.5, 0.8, 6.0]]])
+    to_do = translation(5, -3)
+    # The matcher's own step comes first, on the depth's grid; then what was known before.
+    truth = torch.from_numpy((square(before) @ square(to_do))[:2].astype(np.float32))[None]
+    later, fresh = make_matches((4.0, 0.0))._replace(affine_before=before), make_matches((4.0, 0.0))
+    torch.testing.assert_close(match_cross_entropy(later, truth), match_cross_entropy(fresh, to_do), atol=1e-4, rtol=0)
 
 
 def test_a_displacement_beyond_the_candidates_teaches_nothing() -> None:

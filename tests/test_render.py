@@ -137,9 +137,7 @@ def test_bad_overrides_are_one_sentence_and_write_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_leaves_a_folder_with_files_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_leaves_a_folder_with_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "thesis.txt").write_text("mine")
     assert main(["render", "out=.", *SMALL]) == 2

@@ -141,3 +141,27 @@ def test_the_papers_preset_trains(train: Train) -> None:
     assert sum(parameter.numel() for parameter in network.parameters()) == pytest.approx(5.2e6, rel=0.05)
     header = (folder / "full" / "metrics.csv").read_text().splitlines()[0].split(",")
     assert {"train/depth_loss", "train/ssim_loss"} <= set(header) and "train/corner_loss" not in header
+
+
+@pytest.mark.parametrize(
+    ("checkpoint", "overrides", "said"),
+    [
+        ("joint/last.ckpt", ["stage=full"], "stage joint"),
+        ("joint/last.ckpt", ["model.completion_widths=[16]"], "another model"),
+        ("joint/best.ckpt", [], "best.ckpt"),  # weights alone: nothing to resume with
+    ],
+)
+def test_a_checkpoint_that_cannot_be_resumed_is_refused(
+    checkpoint: str,
+    overrides: list[str],
+    said: str,
+    curriculum: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *TINY, f"resume={curriculum / checkpoint}", *overrides]) == 2
+    message = capsys.readouterr().err
+    assert said in message and len(message.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

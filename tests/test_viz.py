@@ -102,9 +102,7 @@ def test_the_colour_bar_runs_from_near_to_far_beside_the_depth():
 def test_a_panel_holds_every_tile_unscaled(columns):
     sizes = [(37, 53), (20, 90), (64, 31), (5, 5), (40, 40)]
     colors = [np.uint8([50 * i + 20, 3, 7]) for i in range(len(sizes))]
-    tiles = [
-        (f"tile {i}", np.broadcast_to(c, (*s, 3))) for i, (s, c) in enumerate(zip(sizes, colors, strict=True))
-    ]
+    tiles = [(f"tile {i}", np.broadcast_to(c, (*s, 3))) for i, (s, c) in enumerate(zip(sizes, colors, strict=True))]
     picture = viz.panel(tiles, columns)
     assert picture.dtype == np.uint8
     for size, color in zip(sizes, colors, strict=True):

@@ -65,9 +65,7 @@ def mattes_mi(rgb: np.ndarray, depth_m: np.ndarray) -> np.ndarray | None:
     method.SetInterpolator(sitk.sitkLinear)
     method.SetInitialTransform(start, inPlace=True)
     try:
-        method.Execute(
-            sitk.GetImageFromArray(_depth_edges(depth_m)), sitk.GetImageFromArray(_color_edges(rgb))
-        )
+        method.Execute(sitk.GetImageFromArray(_depth_edges(depth_m)), sitk.GetImageFromArray(_color_edges(rgb)))
     except RuntimeError:
         return None
     # ITK writes y = M (x - c) + t + c.
@@ -95,4 +93,4 @@ def _depth_edges(depth_m: np.ndarray) -> np.ndarray:
 
 def _gradient_magnitude(image: np.ndarray) -> np.ndarray:
     smooth = cv2.GaussianBlur(image, (0, 0), 2)
-    return cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    return np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))

@@ -1,17 +1,42 @@
 """Training and validation frames for one stage."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import lightning as L
-from torch.utils.data import DataLoader
+import torch
+from torch.utils.data import DataLoader, Sampler
 
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
 from depthreg.rendering import ScanPattern
+from depthreg.sensors.simulator import seeded_generator
 from depthreg.worlds.scene import Scene
 
 VALIDATION_SEED_OFFSET = 1_000_003  # a prime far from any seed that users type
+
+
+class EpochShuffle(Sampler[int]):
+    """Every item once an epoch, in an order drawn from (seed, epoch) alone: a resumed run sees what it would have seen.
+
+    Args:
+        count: How many items.
+        seed: First number of every draw.
+    """
+
+    def __init__(self, count: int, seed: int) -> None:
+        self.count, self.seed, self.epoch = count, seed, 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Lightning says so before each epoch."""
+        self.epoch = epoch
+
+    def __iter__(self) -> Iterator[int]:
+        order = torch.randperm(self.count, generator=seeded_generator(self.seed, self.epoch))
+        return iter(order.tolist())
+
+    def __len__(self) -> int:
+        return self.count
 
 
 class SyntheticDataModule(L.LightningDataModule):
@@ -49,6 +74,7 @@ class SyntheticDataModule(L.LightningDataModule):
         self.val_frames = SyntheticFrames(
             world, camera, scan, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache
         )
+        self.shuffle = EpochShuffle(train_count, seed)
         self.options: dict[str, Any] = {
             "batch_size": batch_size,
             "num_workers": workers,
@@ -58,7 +84,7 @@ class SyntheticDataModule(L.LightningDataModule):
 
     def train_dataloader(self) -> DataLoader:
         """Shuffled; a last incomplete batch is left out, as its normalisation statistics would be poor."""
-        return DataLoader(self.train_frames, shuffle=True, drop_last=True, **self.options)
+        return DataLoader(self.train_frames, sampler=self.shuffle, drop_last=True, **self.options)
 
     def val_dataloader(self) -> DataLoader:
         """In order, complete."""

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from depthreg.geometry import compose_affines, identity_affine, pixel_grid, sample_at, transform_points
+from depthreg.geometry import compose_affines, exact_product, identity_affine, pixel_grid, sample_at, transform_points
 from depthreg.networks.blocks import conv_norm_gelu
 
 
@@ -75,14 +75,14 @@ def fit_affine(points_px: Tensor, displacements_px: Tensor, weights: Tensor, sti
     centre = (w * points_px).sum(dim=1, keepdim=True)  # (B, 1, 2)
     shift = (w * displacements_px).sum(dim=1, keepdim=True)
     arms = points_px - centre  # (B, N, 2)
-    spread = arms.transpose(1, 2) @ (w * arms)  # (B, 2, 2)
-    cross = (displacements_px - shift).transpose(1, 2) @ (w * arms)
+    spread = exact_product(arms.transpose(1, 2), w * arms)  # (B, 2, 2)
+    cross = exact_product((displacements_px - shift).transpose(1, 2), w * arms)
     a, b, d = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
     ridge = stiffness * points_px.var(dim=0).mean()
     a, d = a + ridge, d + ridge
     inverse = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[:, None, None]
-    linear = cross @ inverse  # (B, 2, 2), the deviation from the identity
-    offset = shift - centre @ linear.transpose(1, 2)
+    linear = exact_product(cross, inverse)  # (B, 2, 2), the deviation from the identity
+    offset = shift - exact_product(centre, linear.transpose(1, 2))
     deviation = torch.cat([linear, offset.transpose(1, 2)], dim=2)
     return identity_affine(len(deviation), device=deviation.device, dtype=deviation.dtype) + deviation
 
@@ -149,10 +149,10 @@ class Matcher(nn.Module):
         correlation = local_correlation(depth, moving, self.radius)
         evidence = self.read(torch.cat([3 * correlation, depth], dim=1))
         evidence, trust = evidence.split([len(self.offsets_px), 1], dim=1)
-        scores = self.sharpness * self._pool(correlation + evidence / 3).flatten(2).transpose(1, 2).float()
-        weights = self._pool(trust).flatten(1).float().softmax(dim=-1)
+        scores = self.sharpness * self._pool(correlation + evidence / 3).flatten(2).transpose(1, 2).to(affine.dtype)
+        weights = self._pool(trust).flatten(1).to(affine.dtype).softmax(dim=-1)
         points_px = self._pool(centres_px.permute(2, 0, 1)[None])[0].flatten(1).T
-        update = fit_affine(points_px, scores.softmax(dim=-1) @ self.offsets_px, weights)
+        update = fit_affine(points_px, exact_product(scores.softmax(dim=-1), self.offsets_px), weights)
         return compose_affines(affine, update), LocalMatches(points_px, self.offsets_px, scores, affine)
 
     def _pool(self, x: Tensor) -> Tensor:
@@ -207,7 +207,7 @@ class RegistrationNet(nn.Module):
         """
         rgb_pyramid = self.tower(torch.cat([first_rgb, edge_strength(rgb)], dim=1))
         depth_pyramid = self.tower(torch.cat([first_depth, edge_strength(depth)], dim=1))
-        affine = identity_affine(len(rgb), device=rgb.device)
+        affine = identity_affine(len(rgb), device=rgb.device, dtype=torch.promote_types(rgb.dtype, torch.float32))
         matches = []
         for level, matcher in zip(self.level_of_matcher, self.matchers, strict=True):
             affine, seen = matcher(rgb_pyramid[level], depth_pyramid[level], affine)

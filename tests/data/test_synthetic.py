@@ -77,7 +77,8 @@ def test_a_cached_frame_is_not_rendered_again(tmp_path: Path, monkeypatch: pytes
 
 
 def test_an_interrupted_render_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*args: object, **arrays: object) -> None:
+    def interrupted(path: Path, **arrays: object) -> None:
+        Path(path).write_bytes(b"half of a file")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(np, "savez", interrupted)

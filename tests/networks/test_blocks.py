@@ -67,9 +67,7 @@ def test_upsampling_keeps_a_constant_and_takes_the_others_size() -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 33), (64, 97)])
 @pytest.mark.parametrize("share", [0.01, 0.2, 1.0])
-def test_filling_keeps_what_is_valid_and_invents_nothing_beyond_it(
-    size: tuple[int, int], share: float
-) -> None:
+def test_filling_keeps_what_is_valid_and_invents_nothing_beyond_it(size: tuple[int, int], share: float) -> None:
     values, valid = 3 + 5 * seeded(2, 1, *size), seeded(2, 1, *size).flip(-1) < share
     valid[..., 0, 0] = True
     filled = fill_holes(values, valid)
@@ -86,9 +84,7 @@ def test_filling_ignores_what_invalid_pixels_hold() -> None:
 
 def test_a_constant_field_stays_constant() -> None:
     valid = seeded(1, 1, 37, 53) < 0.02
-    torch.testing.assert_close(
-        fill_holes(torch.full(valid.shape, 7.25), valid), torch.full(valid.shape, 7.25)
-    )
+    torch.testing.assert_close(fill_holes(torch.full(valid.shape, 7.25), valid), torch.full(valid.shape, 7.25))
 
 
 def test_without_a_valid_pixel_everything_is_zero() -> None:
@@ -111,9 +107,7 @@ def test_a_hole_is_filled_much_as_its_nearest_neighbour_would() -> None:
     valid = np.random.default_rng(0).random(surface.shape) < 0.1
     nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
     by_neighbour = np.abs(surface[tuple(nearest)] - surface).mean()
-    filled = fill_holes(torch.from_numpy(surface)[None, None], torch.from_numpy(valid)[None, None])[
-        0, 0
-    ].numpy()
+    filled = fill_holes(torch.from_numpy(surface)[None, None], torch.from_numpy(valid)[None, None])[0, 0].numpy()
     assert np.abs(filled - surface).mean() < 1.5 * by_neighbour
 
 

@@ -49,9 +49,7 @@ def test_any_size_comes_back_as_it_went_in(size: tuple[int, int], residual: bool
     assert all(tensor.isfinite().all() for tensor in output[:3])
 
 
-@pytest.mark.parametrize(
-    ("rgb_size", "depth_size"), [((63, 80), (63, 80)), ((80, 63), (80, 63)), ((64, 80), (64, 81))]
-)
+@pytest.mark.parametrize(("rgb_size", "depth_size"), [((63, 80), (63, 80)), ((80, 63), (80, 63)), ((64, 80), (64, 81))])
 def test_sizes_that_cannot_work_are_refused(rgb_size: tuple[int, int], depth_size: tuple[int, int]) -> None:
     with pytest.raises(ValueError, match="at least 64 x 64"):
         make_network()(torch.rand(1, 3, *rgb_size), torch.rand(1, 1, *depth_size))

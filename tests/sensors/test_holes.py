@@ -1,23 +1,28 @@
 """Missing patches and pixels."""
 
+from collections.abc import Callable
+
 import pytest
 import torch
 
+from depthreg.data.sample import FrameBatch
 from depthreg.sensors import Holes
 from depthreg.sensors.holes import random_patches
+
+MakeFrames = Callable[..., FrameBatch]
 
 
 def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
 
 
-def test_single_pixels_go_missing_at_the_stated_rate(make_frames) -> None:
+def test_single_pixels_go_missing_at_the_stated_rate(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=4)
     measured_m = Holes(patches=0, missing_share=0.6)(frames, 0.5, generator())
     assert (measured_m == 0).float().mean().item() == pytest.approx(0.3, abs=0.01)
 
 
-def test_what_is_left_is_the_truth(make_frames) -> None:
+def test_what_is_left_is_the_truth(make_frames: MakeFrames) -> None:
     frames = make_frames()
     measured_m = Holes()(frames, 0.4, generator())
     kept = measured_m > 0

@@ -1,13 +1,17 @@
 """The simulator: identity at difficulty 0, harder from there, the same for every batch."""
 
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
 
+from depthreg.data.sample import FrameBatch
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.sensors import Clean, Holes, Lidar, SensorSimulator
-from depthreg.sensors.simulator import augment, seeded_generator, simulate_each
+from depthreg.sensors.simulator import DepthSensor, augment, seeded_generator, simulate_each
 
+MakeFrames = Callable[..., FrameBatch]
 SENSORS = [Clean(), Holes(), Lidar()]
 MAX_SHIFT_PX = 80.0  # for 1242 px of width, so about 6 px here
 
@@ -21,7 +25,7 @@ def density(depth_m: Tensor) -> float:
 
 
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
-def test_difficulty_zero_is_the_identity(sensor, make_frames) -> None:
+def test_difficulty_zero_is_the_identity(sensor: DepthSensor, make_frames: MakeFrames) -> None:
     frames = make_frames(margin_px=9)
     measurement = SensorSimulator(sensor, MAX_SHIFT_PX)(frames, 0.0, generator())
     inner = frames["rgb"][..., 9:-9, 9:-9].float() / 255
@@ -33,7 +37,7 @@ def test_difficulty_zero_is_the_identity(sensor, make_frames) -> None:
 
 
 @pytest.mark.parametrize("sensor", [Holes(), Lidar()], ids=lambda sensor: type(sensor).__name__)
-def test_depth_thins_out_as_it_gets_harder(sensor, make_frames) -> None:
+def test_depth_thins_out_as_it_gets_harder(sensor: DepthSensor, make_frames: MakeFrames) -> None:
     frames = make_frames(batch=6)
     densities = [density(sensor(frames, difficulty, generator())) for difficulty in (0, 0.25, 0.5, 0.75, 1)]
     assert densities == sorted(densities, reverse=True)
@@ -41,7 +45,7 @@ def test_depth_thins_out_as_it_gets_harder(sensor, make_frames) -> None:
 
 
 @pytest.mark.parametrize("difficulty", [0.2, 1.0])
-def test_the_true_affine_brings_the_colour_onto_the_depths_grid(difficulty: float, make_frames) -> None:
+def test_the_true_affine_brings_the_colour_onto_the_depths_grid(difficulty: float, make_frames: MakeFrames) -> None:
     frames = make_frames(batch=6)
     measurement = SensorSimulator(Clean(), MAX_SHIFT_PX)(frames, difficulty, generator())
     aligned, seen = warp_affine(measurement["rgb"], measurement["truth_affine_rgb_from_depth"])
@@ -51,7 +55,7 @@ def test_the_true_affine_brings_the_colour_onto_the_depths_grid(difficulty: floa
     assert untouched.max() > 4 * errors.max()
 
 
-def test_the_shift_scales_with_difficulty_and_width(make_frames) -> None:
+def test_the_shift_scales_with_difficulty_and_width(make_frames: MakeFrames) -> None:
     simulator = SensorSimulator(Clean(), 124.2)
     for difficulty in (0.3, 1.0):
         measurement = simulator(make_frames(batch=200), difficulty, generator())
@@ -62,20 +66,20 @@ def test_the_shift_scales_with_difficulty_and_width(make_frames) -> None:
         assert 0.9 * limit_px < worst_px <= limit_px * 1.001
 
 
-def test_without_a_shift_the_colour_stays_aligned(make_frames) -> None:
+def test_without_a_shift_the_colour_stays_aligned(make_frames: MakeFrames) -> None:
     measurement = SensorSimulator(Holes(), 0.0)(make_frames(), 1.0, generator())
     assert torch.equal(measurement["rgb"], measurement["truth_rgb"])
     assert torch.equal(measurement["truth_affine_rgb_from_depth"], identity_affine(2))
 
 
 @pytest.mark.parametrize("difficulty", [-0.1, 1.01, float("nan")])
-def test_a_difficulty_that_cannot_be_is_refused(difficulty: float, make_frames) -> None:
+def test_a_difficulty_that_cannot_be_is_refused(difficulty: float, make_frames: MakeFrames) -> None:
     with pytest.raises(ValueError, match="difficulty must be in"):
         SensorSimulator(Clean())(make_frames(), difficulty, generator())
 
 
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
-def test_the_seed_decides_and_frames_are_left_as_they_were(sensor, make_frames) -> None:
+def test_the_seed_decides_and_frames_are_left_as_they_were(sensor: DepthSensor, make_frames: MakeFrames) -> None:
     frames, untouched = make_frames(), make_frames()
     simulator = SensorSimulator(sensor, MAX_SHIFT_PX)
     first, again, other = (simulator(frames, 0.7, generator(seed)) for seed in (1, 1, 2))
@@ -85,7 +89,9 @@ def test_the_seed_decides_and_frames_are_left_as_they_were(sensor, make_frames) 
 
 
 @pytest.mark.parametrize("sensor", SENSORS, ids=lambda sensor: type(sensor).__name__)
-def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(sensor, make_frames) -> None:
+def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
+    sensor: DepthSensor, make_frames: MakeFrames
+) -> None:
     frames = make_frames(batch=3)
     simulator = SensorSimulator(sensor, MAX_SHIFT_PX)
     together = simulate_each(simulator, frames, 0.8, seed=4)
@@ -94,7 +100,7 @@ def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(sensor, mak
     assert all(torch.equal(together[key][order], reordered[key]) for key in together)
 
 
-def test_validation_frames_differ_from_each_other_and_between_seeds(make_frames) -> None:
+def test_validation_frames_differ_from_each_other_and_between_seeds(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=2)
     simulator = SensorSimulator(Clean(), MAX_SHIFT_PX)
     first, second = (simulate_each(simulator, frames, 1.0, seed)["truth_affine_rgb_from_depth"] for seed in (0, 1))
@@ -107,7 +113,7 @@ def test_a_seed_is_all_of_its_numbers_in_their_order() -> None:
     assert draws[0] != draws[1] and draws[0] != draws[2]
 
 
-def test_augmentation_keeps_colour_depth_and_affine_together(make_frames) -> None:
+def test_augmentation_keeps_colour_depth_and_affine_together(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=12)
     measurement = SensorSimulator(Clean(), MAX_SHIFT_PX)(frames, 1.0, generator())
     out = augment(measurement, generator(3))
@@ -122,7 +128,7 @@ def test_augmentation_keeps_colour_depth_and_affine_together(make_frames) -> Non
     torch.testing.assert_close(out["intrinsics"][:, 0, 2], center)
 
 
-def test_brightness_changes_both_colours_alike_within_its_limit(make_frames) -> None:
+def test_brightness_changes_both_colours_alike_within_its_limit(make_frames: MakeFrames) -> None:
     measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=40), 1.0, generator())
     measurement["rgb"] = measurement["truth_rgb"] = torch.full((40, 3, 61, 93), 0.5)
     out = augment(measurement, generator(1), brightness=0.2)
@@ -132,7 +138,7 @@ def test_brightness_changes_both_colours_alike_within_its_limit(make_frames) -> 
     assert (measurement["rgb"] == 0.5).all()
 
 
-def test_brightness_never_leaves_the_unit_range(make_frames) -> None:
+def test_brightness_never_leaves_the_unit_range(make_frames: MakeFrames) -> None:
     measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=20), 1.0, generator())
     measurement["rgb"] = torch.ones_like(measurement["rgb"])
     assert augment(measurement, generator())["rgb"].max() <= 1

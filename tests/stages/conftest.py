@@ -58,7 +58,7 @@ class History(L.Callback):
 
     def __init__(self) -> None:
         self.states: list[dict[str, Tensor]] = []
-        self.learning_rates: list[float] = []
+        self.learning_rates: list[float] = []  # of each step
         self.difficulties: list[float] = []
         self.losses: list[float] = []
 
@@ -69,7 +69,9 @@ class History(L.Callback):
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         self.states.append(self.state_of(pl_module.network))
 
-    def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+    def on_train_batch_start(
+        self, trainer: L.Trainer, pl_module: L.LightningModule, batch: object, batch_idx: int
+    ) -> None:
         self.learning_rates.append(trainer.optimizers[0].param_groups[0]["lr"])
 
     def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
