@@ -11,7 +11,8 @@ from typing import Any
 import hydra
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
+from hydra.errors import HydraException, InstantiationException
+from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -100,6 +101,30 @@ def _all_keys(node: Any, prefix: str = "") -> list[str]:
         return []
     keys = [f"{prefix}{key}" for key in node]
     return keys + [deep for key, value in node.items() for deep in _all_keys(value, f"{prefix}{key}.")]
+
+
+def require_positive(config: DictConfig, keys: Sequence[str]) -> None:
+    """Check that each key holds a number above zero.
+
+    Raises:
+        InputError: Naming the key and its value.
+    """
+    for key in keys:
+        value = OmegaConf.select(config, key)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+            raise InputError(f"{key}={value}: expected a number above 0")
+
+
+def build(node: DictConfig, **arguments: Any) -> Any:
+    """What a configuration node's `_target_` makes, with plain containers for arguments.
+
+    Raises:
+        InputError: The target refuses a value, in its own words.
+    """
+    try:
+        return instantiate(node, _convert_="all", **arguments)
+    except InstantiationException as error:
+        raise InputError(f"{node._target_}: {error.__cause__ or error}") from error
 
 
 def require_counts(config: DictConfig, keys: Sequence[str], at_least: int = 1) -> None:

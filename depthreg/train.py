@@ -19,7 +19,7 @@ from rich.console import Console
 
 from depthreg.callbacks import DifficultyRamp
 from depthreg.checkpoint import load_weights, read_checkpoint
-from depthreg.config import require_counts, run_application
+from depthreg.config import build, require_counts, require_positive, run_application
 from depthreg.data.datamodule import SyntheticDataModule
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
@@ -60,10 +60,13 @@ def check(config: DictConfig) -> None:
         )
     if config.resume and config.init_from:
         raise InputError("resume and init_from exclude each other: resume takes everything, init_from the weights only")
-    if config.init_from:
-        load_weights(instantiate(config.model), Path(config.init_from))
+    require_positive(config, ["learning_rate"])
+    network = build(config.model)
+    for name in config.stages:
+        build_stage(config, name, network)
+    if weights := config.resume or config.init_from:
+        load_weights(network, Path(weights))
     if config.resume:
-        load_weights(instantiate(config.model), Path(config.resume))
         _resumed_stage(config)
 
 
@@ -98,7 +101,7 @@ def run(config: DictConfig) -> float:
     out = Path(HydraConfig.get().runtime.output_dir).resolve()
     _quieten()
     L.seed_everything(config.seed, workers=True, verbose=False)
-    network: JointNetwork = instantiate(config.model)
+    network: JointNetwork = build(config.model)
     names = list(config.stages)
     if config.resume:
         load_weights(network, Path(config.resume))
@@ -110,24 +113,29 @@ def run(config: DictConfig) -> float:
     results = evaluate_stage(config, names[-1], network, out)
     console = Console()
     console.print(rich_table(results, f"{config.data.val_count} synthetic frames never trained on"))
-    console.print(f"run      {out}\npictures {out / 'panels'}", soft_wrap=True)
+    console.print(f"run      {out}\npicture  {out / 'panels' / '000000.png'}", soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
 
 
-def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[Stage, SyntheticDataModule]:
-    """The module and the data of one stage, from the composed configuration."""
+def build_stage(
+    config: DictConfig, name: str, network: JointNetwork
+) -> tuple[Stage, SyntheticDataModule, DifficultyRamp]:
+    """The module, the data and the difficulty of one stage, from the composed configuration.
+
+    Raises:
+        InputError: A value of the configuration can't be meant.
+    """
     stage, data = config.stages[name], config.data
-    module = instantiate(
-        stage.module,
-        network=network,
-        loss=instantiate(config.loss),
-        simulator=_simulator(stage),
-        seed=config.seed,
-    )
+    try:
+        simulator = SensorSimulator(build(stage.sensor), stage.max_corner_shift_px)
+        ramp = DifficultyRamp(**stage.difficulty)
+    except ValueError as error:
+        raise InputError(f"stages.{name}: {error}") from error
+    module = build(stage.module, network=network, loss=build(config.loss), simulator=simulator, seed=config.seed)
     datamodule = SyntheticDataModule(
-        world=instantiate(stage.world),
-        camera=instantiate(data.camera, _convert_="all"),
-        scan=instantiate(data.scan),
+        world=build(stage.world),
+        camera=build(data.camera),
+        scan=build(data.scan),
         train_count=data.train_count,
         val_count=data.val_count,
         batch_size=data.batch_size,
@@ -136,25 +144,21 @@ def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[S
         max_depth_m=data.max_depth_m,
         cache_dir=data.cache_dir,
     )
-    return module, datamodule
-
-
-def _simulator(stage: DictConfig) -> SensorSimulator:
-    return SensorSimulator(instantiate(stage.sensor), stage.max_corner_shift_px)
+    return module, datamodule, ramp
 
 
 def train_stage(config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None) -> None:
     """Fit one stage; its checkpoints, logs and pictures go to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    module, datamodule = build_stage(config, name, network)
-    callbacks = [instantiate(callback) for callback in config.callbacks.values() if callback]
+    module, datamodule, ramp = build_stage(config, name, network)
+    callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
         **config.trainer,
         max_epochs=config.stages[name].epochs,
         default_root_dir=folder,
         callbacks=[
             *callbacks,
-            DifficultyRamp(**config.stages[name].difficulty),
+            ramp,
             *_checkpoints(folder),
             RichProgressBar(),
         ],
@@ -191,7 +195,7 @@ def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
 
 def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> Results:
     """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`."""
-    module, datamodule = build_stage(config, name, network)
+    module, datamodule, _ = build_stage(config, name, network)
     frames = SyntheticMeasurements(datamodule.val_frames, module.simulator, module.val_difficulty, config.seed)
     panels = out / "panels"
     panels.mkdir(exist_ok=True)

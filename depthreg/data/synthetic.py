@@ -35,6 +35,11 @@ class RandomCamera:
     center_jitter: float = 0.0
     max_corner_shift_px: float = 24.0
 
+    def __post_init__(self) -> None:
+        low, high = self.focal_px
+        if not 0 < low <= high:
+            raise ValueError(f"focal_px must be two positive lengths, the smaller first, got {list(self.focal_px)}")
+
     def __call__(self, rng: np.random.Generator) -> Camera:
         """One camera."""
         low, high = np.log(self.focal_px)

@@ -99,7 +99,8 @@ class JointNetwork(nn.Module):
         affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
         skip = torch.cat([self.first_rgb(rgb_aligned), first_depth], dim=1)
-        logit = self.completion(torch.cat([rgb_aligned, sparse], dim=1), skip)
+        known = filled if self.residual else sparse  # a correction has to see what it corrects
+        logit = self.completion(torch.cat([rgb_aligned, known], dim=1), skip)
         if self.residual:
             logit = logit + torch.logit(filled, eps=1e-3)
         depth = self._to_metres(logit.sigmoid())

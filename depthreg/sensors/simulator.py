@@ -28,6 +28,8 @@ class SensorSimulator:
     """
 
     def __init__(self, depth_sensor: DepthSensor, max_corner_shift_px: float = 24.0) -> None:
+        if max_corner_shift_px < 0:
+            raise ValueError(f"max_corner_shift_px must not be negative, got {max_corner_shift_px}")
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
 
@@ -57,6 +59,7 @@ def simulate_each(simulator: SensorSimulator, frames: FrameBatch, difficulty: fl
     singles = []
     for i, index in enumerate(frames["index"].tolist()):
         frame = {key: cast(Tensor, value)[i : i + 1] for key, value in frames.items()}
+        frame["lidar"] = frame["lidar"][:, frame["lidar"][0, :, 3] > 0]  # padding would shift the draws
         single = simulator(cast(FrameBatch, frame), difficulty, seeded_generator(seed, index))
         singles.append(cast(dict[str, Tensor], single))
     return cast(Measurement, {key: torch.cat([single[key] for single in singles]) for key in singles[0]})

@@ -53,6 +53,11 @@ class Stage(L.LightningModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
+        if learning_rate <= 0 or weight_decay < 0 or not 0 <= val_difficulty <= 1:
+            raise ValueError(
+                "expected learning_rate > 0, weight_decay >= 0 and val_difficulty in [0, 1], "
+                f"got {learning_rate}, {weight_decay}, {val_difficulty}"
+            )
         self.network, self.loss, self.simulator = network, loss, simulator
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
