@@ -29,6 +29,20 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return checkpoint
 
 
+def find_checkpoint(path: Path | None, runs: Path = Path("runs")) -> Path:
+    """`path`, or where that is None the newest `last.ckpt` of the runs in the current folder.
+
+    Raises:
+        InputError: There is none.
+    """
+    if path is not None:
+        return path
+    trained = sorted(runs.glob("*/*/last.ckpt"), key=lambda file: file.stat().st_mtime)
+    if not trained:
+        raise InputError(f"no checkpoint in {runs}/*/*/last.ckpt: run `depthreg train` here first, or name one")
+    return trained[-1]
+
+
 def _weights(checkpoint: dict[str, Any]) -> dict[str, torch.Tensor]:
     state = checkpoint["state_dict"]
     return {key.removeprefix(_PREFIX): value for key, value in state.items() if key.startswith(_PREFIX)}

@@ -14,7 +14,7 @@ from rich.progress import track
 from rich.table import Table
 from torch import Tensor, nn
 
-from depthreg.checkpoint import load_network
+from depthreg.checkpoint import find_checkpoint, load_network
 from depthreg.data import io
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
@@ -40,11 +40,10 @@ def main(argv: Sequence[str]) -> int:
     pairs = find_pairs(args.rgb, args.depth)
     intrinsics = None if args.intrinsics is None else io.read_intrinsics(args.intrinsics)
     device = _choose_device(args.device)
-    if args.checkpoint is None:
-        raise InputError("--checkpoint is required, since no weights are released yet: `depthreg train` makes one")
+    checkpoint = find_checkpoint(args.checkpoint)
     for pair in pairs:
         read_pair(pair, args.depth_scale)
-    network = load_network(args.checkpoint).to(device).eval()
+    network = load_network(checkpoint).to(device).eval()
 
     facts = []
     with io.atomic_folder(args.out) as folder:
@@ -55,7 +54,7 @@ def main(argv: Sequence[str]) -> int:
             seconds = time.perf_counter() - start
             write_results(folder / pair.stem if args.rgb.is_dir() else folder, sample, output, args.depth_scale)
             facts.append({"seconds": seconds, **_describe(sample["depth_m"], output)})
-    Console().print(_summary(facts, args.out, args.depth_scale))
+    Console().print(_summary(facts, args.out, args.depth_scale, checkpoint))
     return 0
 
 
@@ -92,7 +91,12 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         metavar="DIR",
         help="new or empty folder; appears whole or not at all",
     )
-    add("--checkpoint", type=Path, metavar="CKPT", help="weights, of any stage of `depthreg train`")
+    add(
+        "--checkpoint",
+        type=Path,
+        metavar="CKPT",
+        help="weights, of any stage of `depthreg train`; by default the newest in runs/",
+    )
     add("--device", metavar="NAME", help="cpu, cuda, cuda:1, ...; a GPU by default where there is one")
     return parser.parse_args(argv)
 
@@ -246,7 +250,7 @@ def _describe(depth_m: Tensor, output: JointOutput) -> dict[str, float]:
     }
 
 
-def _summary(facts: Sequence[dict[str, float]], out: Path, scale: float) -> Table:
+def _summary(facts: Sequence[dict[str, float]], out: Path, scale: float, checkpoint: Path) -> Table:
     """A few lines for the terminal: of one pair, or the medians of several."""
     middle = {key: float(np.median([fact[key] for fact in facts])) for key in facts[0]}
     title = f"{out}" if len(facts) == 1 else f"{out}: {len(facts)} pairs, medians"
@@ -259,6 +263,7 @@ def _summary(facts: Sequence[dict[str, float]], out: Path, scale: float) -> Tabl
     }
     for name, text in rows.items():
         table.add_row(name, text.format(**middle))
+    table.add_row("weights", str(checkpoint))
     longest_m = np.iinfo(np.uint16).max / scale
     if max(fact["farthest_m"] for fact in facts) > longest_m:
         table.add_row("depth.png", f"ends at {longest_m:.2f} m at this scale; depth.npy has it all")

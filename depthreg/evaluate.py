@@ -18,7 +18,7 @@ from torch.utils.data import Dataset, Subset, default_collate
 from torchmetrics import MeanMetric
 
 from depthreg.baselines import COMPLETION_BASELINES, registration_baselines
-from depthreg.checkpoint import load_network
+from depthreg.checkpoint import find_checkpoint, load_network
 from depthreg.config import require_counts, run_application
 from depthreg.data import io
 from depthreg.data.datamodule import VALIDATION_SEED_OFFSET
@@ -62,7 +62,7 @@ def check(config: DictConfig) -> None:
     for key, limit in {"max_corner_shift_px": 200, "difficulty": 1}.items():
         if not isinstance(config[key], int | float) or not 0 <= config[key] <= limit:
             raise InputError(f"{key}={config[key]}: expected a number from 0 to {limit}")
-    load_network(Path(config.checkpoint))
+    load_network(_checkpoint(config))
     dataset = build_dataset(config)
     if config.data.name != "synthetic":  # every file is tried before anything is written
         for index in _progress(len(dataset), "Checking"):
@@ -75,7 +75,7 @@ def run(config: DictConfig) -> float:
     (out / "panels").mkdir()
     dataset = build_dataset(config)
     results = evaluate(
-        load_network(Path(config.checkpoint)).to("cuda" if torch.cuda.is_available() else "cpu"),
+        load_network(_checkpoint(config)).to("cuda" if torch.cuda.is_available() else "cpu"),
         dataset,
         max_corner_shift_px=config.max_corner_shift_px,
         seed=config.seed,
@@ -87,8 +87,14 @@ def run(config: DictConfig) -> float:
     total = len(cast(Any, dataset.dataset))
     console = Console()
     console.print(rich_table(results, f"{len(dataset)} of {total} frames of {source}"))
-    console.print(f"table    {out / 'metrics.md'}\npictures {out / 'panels'}", soft_wrap=True)
+    console.print(
+        f"weights  {_checkpoint(config)}\ntable    {out / 'metrics.md'}\npictures {out / 'panels'}", soft_wrap=True
+    )
     return results[MISALIGNED][OURS]["rmse_m"]
+
+
+def _checkpoint(config: DictConfig) -> Path:
+    return find_checkpoint(Path(config.checkpoint) if config.checkpoint else None)
 
 
 def build_dataset(config: DictConfig) -> Subset[Any]:

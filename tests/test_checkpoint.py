@@ -1,5 +1,6 @@
 """Reading checkpoints: ours come back whole, everything else is refused and runs no code."""
 
+import os
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from depthreg.checkpoint import load_network, load_weights, read_checkpoint
+from depthreg.checkpoint import find_checkpoint, load_network, load_weights, read_checkpoint
 from depthreg.errors import InputError
 from depthreg.networks import JointNetwork
 
@@ -112,3 +113,19 @@ def test_a_checkpoint_cut_short_is_refused(checkpoint: Path) -> None:
     checkpoint.write_bytes(checkpoint.read_bytes()[:-200])
     with pytest.raises(InputError, match=r"last\.ckpt is not a readable checkpoint"):
         read_checkpoint(checkpoint)
+
+
+def test_the_newest_weights_are_found_where_none_are_named(tmp_path: Path) -> None:
+    named = tmp_path / "mine.ckpt"
+    for age_s, place in enumerate(("b/full", "a/full", "b/joint")):
+        file = tmp_path / place / "last.ckpt"
+        file.parent.mkdir(parents=True)
+        file.touch()
+        os.utime(file, (1000 - age_s, 1000 - age_s))
+    assert find_checkpoint(None, tmp_path) == tmp_path / "b/full/last.ckpt"
+    assert find_checkpoint(named, tmp_path) == named
+
+
+def test_without_a_run_one_is_asked_for(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="depthreg train"):
+        find_checkpoint(None, tmp_path)

@@ -228,7 +228,7 @@ def test_the_command_scores_synthetic_frames(here, capsys):
 @pytest.mark.parametrize(
     ("overrides", "complaint"),
     [
-        (FOLDER[1:], "checkpoint is missing"),
+        (FOLDER[1:], "run `depthreg train` here first"),
         (FOLDER[:-1], "data.depth_scale is missing"),
         ([*FOLDER, "limit=0"], "limit=0"),
         ([*FOLDER, "max_corner_shift_px=-1"], "max_corner_shift_px=-1"),

@@ -9,9 +9,11 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from depthreg.geometry import warp_affine
-from depthreg.networks.blocks import conv_norm_gelu, fill_holes
+from depthreg.networks.blocks import conv_norm_gelu, fill_nearest, fill_smoothly
 from depthreg.networks.completion import TinyUNet
 from depthreg.networks.registration import LocalMatches, RegistrationNet
+
+MAX_CORRECTION = 4.0  # of a filled depth, as a factor; a bound keeps a young network away from near-zero depths
 
 
 class JointOutput(NamedTuple):
@@ -38,7 +40,7 @@ class JointNetwork(nn.Module):
         registration_hidden: Width of the convolutions that read a correlation.
         matchers: Stride, radius and window of each matcher; see `Matcher`.
         depth_range_m: Smallest and largest depth that can be predicted.
-        residual: Predict a correction to the filled sparse depth rather than the depth itself.
+        residual: Predict a correction to the filled sparse depth, at most by `MAX_CORRECTION`, rather than the depth.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class JointNetwork(nn.Module):
         self.completion = TinyUNet(4, 1, completion_widths, skip_channels=2 * first_channels)
         self.min_depth_m, self.max_depth_m = depth_range_m
         self.residual = residual
+        self._log_span = math.log(self.max_depth_m / self.min_depth_m)
         self.stride = max(self.completion.stride, self.registration.stride)
 
     def registration_modules(self) -> list[nn.Module]:
@@ -92,23 +95,24 @@ class JointNetwork(nn.Module):
         padding = [0, -width % self.stride, 0, -height % self.stride]
         valid = F.pad(depth_m > 0, padding)
         sparse = F.pad(self._to_unit(depth_m), padding) * valid
-        filled = fill_holes(sparse, valid)
+        filled = fill_smoothly(sparse, valid)
         rgb_padded = F.pad(rgb, padding, mode="replicate")
 
         first_depth = self.first_depth(torch.cat([sparse, filled, valid.to(sparse.dtype)], dim=1))
         affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
         skip = torch.cat([self.first_rgb(rgb_aligned), first_depth], dim=1)
-        known = filled if self.residual else sparse  # a correction has to see what it corrects
+        known = fill_nearest(sparse, valid) if self.residual else sparse  # a correction sees what it corrects
         logit = self.completion(torch.cat([rgb_aligned, known], dim=1), skip)
         if self.residual:
-            logit = logit + torch.logit(filled, eps=1e-3)
-        depth = self._to_metres(logit.sigmoid())
+            unit = (known + math.log(MAX_CORRECTION) / self._log_span * logit.tanh()).clamp(0, 1)
+        else:
+            unit = logit.sigmoid()
+        depth = self._to_metres(unit)
         return JointOutput(depth[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches)
 
     def _to_unit(self, depth_m: Tensor) -> Tensor:
-        log_span = math.log(self.max_depth_m / self.min_depth_m)
-        return (depth_m.clamp(self.min_depth_m, self.max_depth_m) / self.min_depth_m).log() / log_span
+        return (depth_m.clamp(self.min_depth_m, self.max_depth_m) / self.min_depth_m).log() / self._log_span
 
     def _to_metres(self, unit: Tensor) -> Tensor:
-        return self.min_depth_m * (unit * math.log(self.max_depth_m / self.min_depth_m)).exp()
+        return self.min_depth_m * (unit * self._log_span).exp()

@@ -1,5 +1,7 @@
 """The shared layers, against plain formulations and closed forms."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,10 @@ import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
-from depthreg.networks.blocks import CMRF, fill_holes, upsample_to
+from depthreg.networks.blocks import CMRF, fill_nearest, fill_smoothly, nearest_valid, upsample_to
+
+Fill = Callable[[Tensor, Tensor], Tensor]
+FILLS = [fill_nearest, fill_smoothly]
 
 
 def seeded(*shape: int) -> Tensor:
@@ -65,53 +70,78 @@ def test_upsampling_keeps_a_constant_and_takes_the_others_size() -> None:
     torch.testing.assert_close(out, torch.full((1, 2, 7, 11), 4.5))
 
 
+@pytest.mark.parametrize("fill", FILLS)
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 33), (64, 97)])
 @pytest.mark.parametrize("share", [0.01, 0.2, 1.0])
-def test_filling_keeps_what_is_valid_and_invents_nothing_beyond_it(size: tuple[int, int], share: float) -> None:
+def test_filling_keeps_what_is_valid_and_invents_nothing_beyond_it(
+    fill: Fill, size: tuple[int, int], share: float
+) -> None:
     values, valid = 3 + 5 * seeded(2, 1, *size), seeded(2, 1, *size).flip(-1) < share
     valid[..., 0, 0] = True
-    filled = fill_holes(values, valid)
+    filled = fill(values, valid)
     torch.testing.assert_close(filled[valid], values[valid])
     for image, known, mask in zip(filled, values, valid, strict=True):
         assert known[mask].min() - 1e-5 <= image.min() and image.max() <= known[mask].max() + 1e-5
 
 
-def test_filling_ignores_what_invalid_pixels_hold() -> None:
+@pytest.mark.parametrize("fill", FILLS)
+def test_filling_ignores_what_invalid_pixels_hold(fill: Fill) -> None:
     values, valid = seeded(1, 1, 19, 23), seeded(1, 1, 19, 23) < 0.5
     garbage = torch.where(valid, values, 1e6)
-    torch.testing.assert_close(fill_holes(garbage, valid), fill_holes(values, valid))
+    torch.testing.assert_close(fill(garbage, valid), fill(values, valid))
 
 
-def test_a_constant_field_stays_constant() -> None:
+@pytest.mark.parametrize("fill", FILLS)
+def test_a_constant_field_stays_constant(fill: Fill) -> None:
     valid = seeded(1, 1, 37, 53) < 0.02
-    torch.testing.assert_close(fill_holes(torch.full(valid.shape, 7.25), valid), torch.full(valid.shape, 7.25))
+    torch.testing.assert_close(fill(torch.full(valid.shape, 7.25), valid), torch.full(valid.shape, 7.25))
 
 
-def test_without_a_valid_pixel_everything_is_zero() -> None:
+@pytest.mark.parametrize("fill", FILLS)
+def test_without_a_valid_pixel_everything_is_zero(fill: Fill) -> None:
     values, valid = seeded(2, 1, 13, 21), torch.zeros(2, 1, 13, 21, dtype=torch.bool)
     valid[1] = True
-    filled = fill_holes(values, valid)
+    filled = fill(values, valid)
     assert (filled[0] == 0).all()
     torch.testing.assert_close(filled[1], values[1])
 
 
-def test_one_hole_takes_the_mean_of_its_block() -> None:
+@pytest.mark.parametrize("fill", FILLS)
+def test_one_hole_takes_the_mean_of_its_block(fill: Fill) -> None:
     values, valid = torch.tensor([[1.0, 2.0], [6.0, 99.0]])[None, None], torch.ones(1, 1, 2, 2).bool()
     valid[..., 1, 1] = False
-    assert fill_holes(values, valid)[0, 0, 1, 1].item() == pytest.approx(3.0)
+    assert fill(values, valid)[0, 0, 1, 1].item() == pytest.approx(3.0)
 
 
-def test_a_hole_is_filled_much_as_its_nearest_neighbour_would() -> None:
+@pytest.mark.parametrize("share", [0.002, 0.05, 0.6])
+def test_the_nearest_valid_value_is_what_a_distance_transform_finds(share: float) -> None:
+    valid = np.random.default_rng(1).random((37, 53)) < share
+    valid[5, 40] = True
+    values = np.random.default_rng(2).random(valid.shape).astype(np.float32)
+    distance = ndimage.distance_transform_edt(~valid)
+    ours = nearest_valid(torch.from_numpy(values)[None, None], torch.from_numpy(valid)[None, None])[0, 0].numpy()
+    # Where two neighbours are equally near, either may be taken; jump flooding misses a few pixels besides.
+    rows, columns = np.nonzero(valid)
+    y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
+    reach = np.hypot(y[..., None] - rows, x[..., None] - columns)
+    taken = np.abs(values[rows, columns] - ours[..., None]).argmin(axis=-1)
+    excess = np.take_along_axis(reach, taken[..., None], axis=-1)[..., 0] - distance
+    assert (excess < 1e-4).mean() > 0.99 and excess.max() < 2
+
+
+@pytest.mark.parametrize("fill", FILLS)
+def test_a_hole_is_filled_much_as_its_nearest_neighbour_would(fill: Fill) -> None:
     y, x = np.mgrid[:48, :80].astype(np.float32)
     surface = 10 + 0.05 * x + 0.1 * y
     valid = np.random.default_rng(0).random(surface.shape) < 0.1
     nearest = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
     by_neighbour = np.abs(surface[tuple(nearest)] - surface).mean()
-    filled = fill_holes(torch.from_numpy(surface)[None, None], torch.from_numpy(valid)[None, None])[0, 0].numpy()
+    filled = fill(torch.from_numpy(surface)[None, None], torch.from_numpy(valid)[None, None])[0, 0].numpy()
     assert np.abs(filled - surface).mean() < 1.5 * by_neighbour
 
 
-def test_filling_gives_finite_slopes_where_nothing_is_valid() -> None:
+@pytest.mark.parametrize("fill", FILLS)
+def test_filling_gives_finite_slopes_where_nothing_is_valid(fill: Fill) -> None:
     values = seeded(1, 1, 8, 9).requires_grad_()
-    fill_holes(values, torch.zeros(1, 1, 8, 9, dtype=torch.bool)).sum().backward()
+    fill(values, torch.zeros(1, 1, 8, 9, dtype=torch.bool)).sum().backward()
     assert values.grad.isfinite().all()

@@ -100,6 +100,15 @@ def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
     assert all(torch.equal(together[key][order], reordered[key]) for key in together)
 
 
+def test_validation_does_not_depend_on_how_far_returns_are_padded(make_frames: MakeFrames) -> None:
+    frames = make_frames(batch=2)
+    padding = torch.zeros(2, 100, 7)  # as where a batch holds a frame with more returns
+    padded = FrameBatch(**{**frames, "lidar": torch.cat([frames["lidar"], padding], dim=1)})
+    simulator = SensorSimulator(Lidar(), MAX_SHIFT_PX)
+    depths_m = [simulate_each(simulator, batch, 0.8, seed=4)["depth_m"] for batch in (frames, padded)]
+    assert torch.equal(*depths_m)
+
+
 def test_validation_frames_differ_from_each_other_and_between_seeds(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=2)
     simulator = SensorSimulator(Clean(), MAX_SHIFT_PX)
