@@ -93,7 +93,8 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     """Decode an image file; OpenCV's own complaints would only repeat ours, so they are silenced."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flags)
+        content = path.read_bytes()
+        image = None if _is_cut_jpeg(content) else cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror}") from error
     except cv2.error:  # an empty file
@@ -103,6 +104,11 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     if image is None:
         raise InputError(f"{path} can't be decoded: an intact {path.suffix[1:].upper()} image was expected")
     return image
+
+
+def _is_cut_jpeg(content: bytes) -> bool:
+    """Whether a JPEG's last scan has no end: OpenCV would paint the missing part grey (ITU-T T.81, B.1.1.3)."""
+    return content.startswith(b"\xff\xd8") and content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda")
 
 
 def _read_stored_depth(path: Path) -> np.ndarray:

@@ -314,3 +314,16 @@ def test_real_kitti_depth_has_the_documented_share_of_returns(real_data):
     assert depth_m.shape == (352, 1216)
     assert 0.035 < np.mean(depth_m > 0) < 0.045
     assert 2 < depth_m[depth_m > 0].min() < depth_m.max() < 90
+
+
+def test_a_jpeg_that_was_cut_off_is_refused_and_a_whole_one_is_read(tmp_path):
+    path = tmp_path / "photo.jpg"
+    noise = np.random.default_rng(0).integers(0, 256, (37, 53, 3), np.uint8)
+    Image.fromarray(noise).save(path)
+    whole = path.read_bytes()
+    assert io.read_rgb(path).shape == (37, 53, 3)
+    path.write_bytes(whole + b"what some cameras append")
+    assert io.read_rgb(path).shape == (37, 53, 3)
+    path.write_bytes(whole[: 2 * len(whole) // 3])
+    with pytest.raises(InputError, match=r"photo\.jpg can't be decoded"):
+        io.read_rgb(path)
