@@ -74,7 +74,7 @@ def upsample_to(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
 
 
-def nearest_valid(values: Tensor, valid: Tensor) -> Tensor:
+def nearest_valid(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     """The value of the nearest valid pixel, by jump flooding (Rong and Tan, I3D 2006): log2(size) passes of shifts.
 
     Args:
@@ -82,7 +82,8 @@ def nearest_valid(values: Tensor, valid: Tensor) -> Tensor:
         valid: bool, (B, 1, H, W).
 
     Returns:
-        (B, 1, H, W); 0 everywhere for an image without a valid pixel. A few pixels get their second nearest.
+        The values (B, 1, H, W), 0 everywhere for an image without a valid pixel, and the squared distances to them in
+        pixels (B, 1, H, W). A few pixels get their second nearest.
     """
     height, width = values.shape[-2:]
     row = torch.arange(height, device=values.device)[:, None]
@@ -100,22 +101,27 @@ def nearest_valid(values: Tensor, valid: Tensor) -> Tensor:
                 closer = (candidate >= 0) & (reach < distance)
                 seed, distance = torch.where(closer, candidate, seed), torch.where(closer, reach, distance)
         step //= 2
-    return (values * valid).flatten(2).gather(2, seed.clamp(min=0).flatten(2)).view_as(values)
+    return (values * valid).flatten(2).gather(2, seed.clamp(min=0).flatten(2)).view_as(values), distance
 
 
-def fill_nearest(values: Tensor, valid: Tensor) -> Tensor:
+def fill_nearest(values: Tensor, valid: Tensor, reach_px: int = 16) -> Tensor:
     """Fill holes with the nearest valid values: crisp, found at half resolution, which is 7 times as fast.
+
+    Farther than `reach_px` from any valid pixel the filling is smooth: the region of one nearest value becomes a wedge
+    there, with edges that no scene has.
 
     Args:
         values: (B, 1, H, W); ignored where not valid.
         valid: bool, (B, 1, H, W).
+        reach_px: How far a value is believed to hold.
 
     Returns:
         (B, 1, H, W): `values` where valid, filled elsewhere; 0 everywhere for an image without a valid pixel.
     """
     weight = valid.to(values.dtype)
     pooled, pooled_weight = _pool_valid(values * weight, weight)
-    filled = upsample_to(nearest_valid(pooled, pooled_weight > 0), values)
+    nearest, distance = nearest_valid(pooled, pooled_weight > 0)
+    filled = upsample_to(fill_smoothly(nearest, distance <= (reach_px / 2) ** 2), values)
     return torch.where(valid, values, filled)
 
 

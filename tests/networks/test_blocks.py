@@ -119,7 +119,8 @@ def test_the_nearest_valid_value_is_what_a_distance_transform_finds(share: float
     valid[5, 40] = True
     values = np.random.default_rng(2).random(valid.shape).astype(np.float32)
     distance = ndimage.distance_transform_edt(~valid)
-    ours = nearest_valid(torch.from_numpy(values)[None, None], torch.from_numpy(valid)[None, None])[0, 0].numpy()
+    found = nearest_valid(torch.from_numpy(values)[None, None], torch.from_numpy(valid)[None, None])
+    ours, ours_distance = (image[0, 0].numpy() for image in found)
     # Where two neighbours are equally near, either may be taken; jump flooding misses a few pixels besides.
     rows, columns = np.nonzero(valid)
     y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
@@ -127,6 +128,16 @@ def test_the_nearest_valid_value_is_what_a_distance_transform_finds(share: float
     taken = np.abs(values[rows, columns] - ours[..., None]).argmin(axis=-1)
     excess = np.take_along_axis(reach, taken[..., None], axis=-1)[..., 0] - distance
     assert (excess < 1e-4).mean() > 0.99 and excess.max() < 2
+    np.testing.assert_allclose(np.sqrt(ours_distance), distance + excess, atol=1e-3)
+
+
+def test_far_from_any_value_the_filling_has_no_edge() -> None:
+    values, valid = torch.zeros(1, 1, 64, 128), torch.zeros(1, 1, 64, 128, dtype=torch.bool)
+    values[..., -1, :64], values[..., -1, 64:] = 1.0, 2.0
+    valid[..., -1, :] = True
+    filled = fill_nearest(values, valid)[0, 0]
+    assert filled[-4].diff().abs().max() > 0.4  # crisp beside the values
+    assert filled[4].diff().abs().max() < 0.1
 
 
 @pytest.mark.parametrize("fill", FILLS)
