@@ -102,16 +102,16 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
     data = config.data
     dataset: Any
     if data.name == "synthetic":
+        simulator = SensorSimulator(instantiate(config.sensor, _convert_="all"), config.max_corner_shift_px)
         frames = SyntheticFrames(
             instantiate(config.world),
             instantiate(data.camera, max_corner_shift_px=config.max_corner_shift_px, _convert_="all"),
-            instantiate(data.scan),
+            simulator.rig,
             seed=config.seed + VALIDATION_SEED_OFFSET,
             count=data.val_count,
             max_depth_m=data.max_depth_m,
             cache_dir=Path(data.cache_dir) if data.cache_dir else None,
         )
-        simulator = SensorSimulator(instantiate(config.sensor), config.max_corner_shift_px)
         dataset = SyntheticMeasurements(frames, simulator, config.difficulty, config.seed)
     else:
         options = {key: value for key, value in data.items() if key != "name"}

@@ -135,7 +135,7 @@ def build_stage(
     datamodule = SyntheticDataModule(
         world=build(stage.world),
         camera=build(data.camera),
-        scan=build(data.scan),
+        rig=simulator.rig,
         train_count=data.train_count,
         val_count=data.val_count,
         batch_size=data.batch_size,

@@ -71,7 +71,8 @@ class FormulaFrames(Dataset[dict[str, Any]]):
             "rgb": np.rint(127.5 + 127.5 * np.stack(waves, axis=-1)).astype(np.uint8),
             "depth_m": depth_m,
             "intrinsics": np.array([[60, 0, 31.5], [0, 60, 31.5], [0, 0, 1]], np.float32),
-            "lidar": np.column_stack([column, row, at_m, at_m, one, one, row]).astype(np.float32),
+            "lidar": np.column_stack([column, row, at_m, at_m, one, one, 0 * one, at_m, one, row]).astype(np.float32),
+            "baseline_m": np.float32(0.54),
             "index": index,
         }
 

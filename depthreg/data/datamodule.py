@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import DataLoader, Sampler
 
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
-from depthreg.rendering import ScanPattern
+from depthreg.rendering import Rig
 from depthreg.sensors.simulator import seeded_generator
 from depthreg.worlds.scene import Scene
 
@@ -45,7 +45,7 @@ class SyntheticDataModule(L.LightningDataModule):
     Args:
         world: Builds the scene of (seed, index).
         camera: Draws the camera.
-        scan: The LiDAR's pattern.
+        rig: What else to render, as the sensor simulator needs it.
         train_count: Training frames; every epoch sees each once.
         val_count: Validation frames.
         batch_size: Frames a step.
@@ -59,7 +59,7 @@ class SyntheticDataModule(L.LightningDataModule):
         self,
         world: Callable[[int, int], Scene],
         camera: RandomCamera,
-        scan: ScanPattern | None,
+        rig: Rig,
         train_count: int,
         val_count: int,
         batch_size: int,
@@ -70,9 +70,9 @@ class SyntheticDataModule(L.LightningDataModule):
     ) -> None:
         super().__init__()
         cache = Path(cache_dir) if cache_dir else None
-        self.train_frames = SyntheticFrames(world, camera, scan, seed, train_count, max_depth_m, cache)
+        self.train_frames = SyntheticFrames(world, camera, rig, seed, train_count, max_depth_m, cache)
         self.val_frames = SyntheticFrames(
-            world, camera, scan, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache
+            world, camera, rig, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache
         )
         self.shuffle = EpochShuffle(train_count, seed)
         self.options: dict[str, Any] = {

@@ -6,7 +6,7 @@ in pixels: `rgb[A @ (x, y, 1)]` belongs to `depth_m[y, x]`. Axes: B batch, H row
 """
 
 from dataclasses import dataclass
-from typing import TypedDict
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 from torch import Tensor
@@ -25,7 +25,33 @@ class LidarReturns:
     range_m: np.ndarray  # (N,) float32, distance from the LiDAR's origin
     cos_incidence: np.ndarray  # (N,) float32 in [0, 1], 1 = ray hits the surface head-on
     albedo: np.ndarray  # (N,) float32 in [0, 1], diffuse reflectivity
+    gloss: np.ndarray  # (N,) float32 in [0, 1], share of the light that a polished surface mirrors away
+    far_range_m: np.ndarray  # (N,) float32, where the rest of a beam lands that an edge splits; else = range_m
+    near_share: np.ndarray  # (N,) float32 in (0, 1], share of the beam's light that lands at range_m
     ring: np.ndarray  # (N,) int16, laser number, 0 = the highest beam
+
+
+class LidarColumns(NamedTuple):
+    """The last axis of `FrameBatch.lidar`, in its order: `LidarColumns(*lidar.unbind(-1)).range_m` is (B, N)."""
+
+    u_px: Tensor
+    v_px: Tensor
+    depth_m: Tensor
+    range_m: Tensor
+    cos_incidence: Tensor
+    albedo: Tensor
+    gloss: Tensor
+    far_range_m: Tensor
+    near_share: Tensor
+    ring: Tensor
+
+
+@dataclass(frozen=True)
+class OffsetView:
+    """What a colour camera sees that doesn't stand where the depth camera does: parallax and occlusions included."""
+
+    rgb: np.ndarray  # (H + 2M, W + 2M, 3) uint8, of the depth camera's intrinsics
+    rgb_from_depth: np.ndarray  # (4, 4) rigid, from the depth camera's coordinates into the colour camera's
 
 
 @dataclass(frozen=True)
@@ -37,20 +63,32 @@ class Frame:
     depth_m: np.ndarray  # (H, W) float32, 0 = sky
     object_id: np.ndarray  # (H, W) int32, -1 = sky
     normal: np.ndarray  # (H, W, 3) float32, unit, camera coordinates, facing the camera; 0 in the sky
+    albedo: np.ndarray  # (H, W) float32 in [0, 1], diffuse reflectivity, mean over colours; 0 in the sky
+    gloss: np.ndarray  # (H, W) float32 in [0, 1], share of the light that a polished surface mirrors away
     intrinsics: np.ndarray  # (3, 3) float32, K of the image without margin
-    rgb_right: np.ndarray  # (H, W, 3) uint8, the right camera of a rectified pair
+    rgb_right: np.ndarray  # (H, W, 3) uint8, the right camera of a rectified pair; (0, 0, 3) without one
+    depth_right_m: np.ndarray  # (H, W) float32, its z-depth; (0, 0) without one
     baseline_m: float  # distance from the left to the right camera
     lidar: LidarReturns
+    offset: OffsetView | None = None
 
 
 class FrameBatch(TypedDict):
-    """Frames collated for the sensor simulator."""
+    """Frames collated for the sensor simulator, which gets what its `Rig` asks for."""
 
     rgb: Tensor  # (B, 3, H + 2M, W + 2M) uint8
     depth_m: Tensor  # (B, 1, H, W)
     intrinsics: Tensor  # (B, 3, 3)
-    lidar: Tensor  # (B, N, 7): u_px, v_px, depth_m, range_m, cos_incidence, albedo, ring; padded with zeros (range 0)
+    lidar: Tensor  # (B, N, 10): `LidarColumns`; padded with zeros (range 0)
+    baseline_m: Tensor  # (B,), from the left to the right camera (or to the projector)
     index: Tensor  # (B,) int64, the sample's number in its data set
+    normal: NotRequired[Tensor]  # (B, 3, H, W), unit, camera coordinates; 0 in the sky
+    albedo: NotRequired[Tensor]  # (B, 1, H, W) in [0, 1]
+    gloss: NotRequired[Tensor]  # (B, 1, H, W) in [0, 1]
+    disparity_px: NotRequired[Tensor]  # (B, 1, H, W), a matcher's answer to the rendered pair; 0 where it has none
+    offset_rgb: NotRequired[Tensor]  # (B, 3, H + 2M, W + 2M) uint8, seen by a colour camera beside the depth camera
+    offset_affine_rgb_from_depth: NotRequired[Tensor]  # (B, 2, 3), least squares over the depth's pixels
+    offset_parallax_px: NotRequired[Tensor]  # (B,), RMS distance that this affine leaves
 
 
 class Measurement(TypedDict, total=False):
@@ -62,4 +100,5 @@ class Measurement(TypedDict, total=False):
     truth_depth_m: Tensor  # (B, 1, H, W), 0 where unknown
     truth_rgb: Tensor  # (B, 3, H, W), colour on the depth's grid; absent where unknown
     truth_affine_rgb_from_depth: Tensor  # (B, 2, 3); absent where unknown
+    truth_parallax_px: Tensor  # (B,), RMS distance that the true affine leaves: 0 where the misalignment is an affine
     name: list[str]  # for messages and pictures

@@ -4,16 +4,16 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch.utils.data import Dataset
 
 from depthreg.data.io import atomic_write
-from depthreg.data.sample import Frame, FrameBatch, Measurement
-from depthreg.rendering import Camera, ScanPattern, render_frame
-from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, margin_for
+from depthreg.data.sample import Frame, FrameBatch, LidarColumns, Measurement
+from depthreg.rendering import Camera, Rig, render_frame
+from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, fit_affine, margin_for
 from depthreg.sensors.simulator import SensorSimulator, simulate_each
 from depthreg.worlds.scene import Scene
 
@@ -55,12 +55,12 @@ class RandomCamera:
 
 
 class SyntheticFrames(Dataset[dict[str, Any]]):
-    """Frames of one world; item i is a function of (world, camera, scan, seed, i) alone.
+    """Frames of one world; item i is a function of (world, camera, rig, seed, i) alone.
 
     Args:
         world: Builds the scene of (seed, index).
         camera: Draws the camera.
-        scan: The LiDAR's pattern; None where no LiDAR is wanted.
+        rig: What else to render, as the sensor simulator needs it.
         seed: First number of every scene; training and validation take different ones.
         count: How many frames.
         max_depth_m: Depth beyond this is unknown (0), as beyond any scanner's range.
@@ -71,48 +71,79 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         self,
         world: Callable[[int, int], Scene],
         camera: RandomCamera,
-        scan: ScanPattern | None,
+        rig: Rig,
         seed: int,
         count: int,
         max_depth_m: float,
         cache_dir: Path | None = None,
     ) -> None:
-        self.world, self.camera, self.scan, self.seed, self.count = world, camera, scan, seed, count
+        self.world, self.camera, self.rig, self.seed, self.count = world, camera, rig, seed, count
         self.max_depth_m = max_depth_m
-        recipe = repr((world, camera, scan, seed, max_depth_m)).encode() + _code_of("worlds", "rendering")
+        recipe = repr((world, camera, rig, seed, max_depth_m)).encode() + _code_of("worlds", "rendering", "sensors")
         self.folder = cache_dir / hashlib.sha256(recipe).hexdigest()[:16] if cache_dir else None
 
     def __len__(self) -> int:
         return self.count
 
     def frame(self, index: int) -> Frame:
-        """Render frame `index`, with everything in it but the right camera's image."""
+        """Render frame `index`, with what the rig needs in it."""
         camera = self.camera(np.random.default_rng([self.seed, index, 1]))
-        return render_frame(self.world(self.seed, index), camera, self.scan, right=False)
+        rng, rig = np.random.default_rng([self.seed, index, 2]), self.rig
+        return render_frame(
+            self.world(self.seed, index),
+            camera,
+            rig.scans[rng.integers(len(rig.scans))] if rig.scans else None,
+            right=bool(rig.matchers),
+            rgb_from_depth=rig.offset(rng) if rig.offset else None,
+        )
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         """What the simulator needs of a frame, as NumPy arrays; see `collate_frames`."""
         if not 0 <= index < self.count:
             raise IndexError(index)
         if self.folder is None:
-            return {**self._pack(self.frame(index)), "index": index}
+            return {**self._packed(index), "index": index}
         path = self.folder / f"{index:06d}.npz"
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(path) as temporary:  # several workers may fill one cache
-                np.savez(temporary, **self._pack(self.frame(index)))  # type: ignore[arg-type]
+                np.savez(temporary, **self._packed(index))  # type: ignore[arg-type]
         with np.load(path) as arrays:
             return {**{key: arrays[key] for key in arrays.files}, "index": index}
 
-    def _pack(self, frame: Frame) -> dict[str, np.ndarray]:
-        lidar = frame.lidar
-        columns = (lidar.uv_px, lidar.depth_m, lidar.range_m, lidar.cos_incidence, lidar.albedo, lidar.ring)
-        return {
-            "rgb": frame.rgb,
-            "depth_m": np.where(frame.depth_m > self.max_depth_m, 0, frame.depth_m),
-            "intrinsics": frame.intrinsics,
-            "lidar": np.column_stack(columns).astype(np.float32),
-        }
+    def _packed(self, index: int) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng([self.seed, index, 3])
+        return pack(self.frame(index), self.rig, rng, self.max_depth_m)
+
+
+def pack(frame: Frame, rig: Rig, rng: np.random.Generator, max_depth_m: float) -> dict[str, np.ndarray]:
+    """What the sensor simulator needs of a frame, under the names of `FrameBatch` and without its batch axis.
+
+    Args:
+        frame: Holds all that the rig asks for.
+        rig: What the simulator needs.
+        rng: For matchers.
+        max_depth_m: Depth beyond this becomes unknown (0).
+    """
+    lidar = frame.lidar
+    item: dict[str, Any] = {"rgb": frame.rgb, "intrinsics": frame.intrinsics}
+    item["depth_m"] = np.where(frame.depth_m > max_depth_m, 0, frame.depth_m)
+    item["baseline_m"] = np.float32(frame.baseline_m)
+    columns = (getattr(lidar, name) for name in LidarColumns._fields[2:])
+    item["lidar"] = np.column_stack([lidar.uv_px, *columns]).astype(np.float32)
+    if rig.surfaces:
+        item |= {"normal": frame.normal, "albedo": frame.albedo, "gloss": frame.gloss}
+    if rig.matchers:
+        item["disparity_px"] = rig.matchers[rng.integers(len(rig.matchers))](frame, rng)
+    if frame.offset:
+        affine, parallax_px = fit_affine(item["depth_m"], frame.intrinsics, frame.offset.rgb_from_depth)
+        item |= {"offset_rgb": frame.offset.rgb, "offset_affine_rgb_from_depth": affine}
+        item["offset_parallax_px"] = np.float32(parallax_px)
+    return item
+
+
+_CHANNELS_LAST = ("rgb", "normal", "offset_rgb")  # (H, W, C) as NumPy and OpenCV have it
+_PLANES = ("depth_m", "albedo", "gloss", "disparity_px")  # (H, W)
 
 
 def _code_of(*packages: str) -> bytes:
@@ -124,16 +155,16 @@ def _code_of(*packages: str) -> bytes:
 def collate_frames(items: Sequence[dict[str, Any]]) -> FrameBatch:
     """Stack items; returns are padded with zeros (range 0) to the longest list."""
     longest = max(len(item["lidar"]) for item in items)
-    lidar = torch.zeros(len(items), longest, 7)
+    lidar = torch.zeros(len(items), longest, len(LidarColumns._fields))
     for row, item in zip(lidar, items, strict=True):
         row[: len(item["lidar"])] = torch.from_numpy(item["lidar"])
-    return FrameBatch(
-        rgb=torch.from_numpy(np.stack([item["rgb"] for item in items])).permute(0, 3, 1, 2).contiguous(),
-        depth_m=torch.from_numpy(np.stack([item["depth_m"] for item in items]))[:, None],
-        intrinsics=torch.from_numpy(np.stack([item["intrinsics"] for item in items])),
-        lidar=lidar,
-        index=torch.tensor([item["index"] for item in items]),
-    )
+    batch = {"lidar": lidar}
+    for key in items[0].keys() - {"lidar"}:
+        stacked = torch.from_numpy(np.stack([item[key] for item in items]))
+        if key in _CHANNELS_LAST:
+            stacked = stacked.permute(0, 3, 1, 2).contiguous()
+        batch[key] = stacked[:, None] if key in _PLANES else stacked
+    return cast(FrameBatch, batch)
 
 
 class SyntheticMeasurements(Dataset[Measurement]):

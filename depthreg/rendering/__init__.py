@@ -1,6 +1,7 @@
 """What a perfect instrument sees of a scene."""
 
-from depthreg.rendering.camera import Camera, ScanPattern, hdl64
+from depthreg.rendering.camera import SCANNERS, Camera, ScanPattern, hdl64
 from depthreg.rendering.raycast import render_frame
+from depthreg.rendering.rig import PairMatcher, RandomOffset, Rig
 
-__all__ = ["Camera", "ScanPattern", "hdl64", "render_frame"]
+__all__ = ["SCANNERS", "Camera", "PairMatcher", "RandomOffset", "Rig", "ScanPattern", "hdl64", "render_frame"]

@@ -17,7 +17,7 @@ class Camera:
         focal_px: Focal length, pixels.
         center_px: Principal point (column, row) in the frame; its middle where not given.
         margin_px: How far the colour image reaches beyond the frame on each side.
-        baseline_m: Distance to the right camera of the rectified pair.
+        baseline_m: Distance to the right camera of the rectified pair; the scene's where not given.
 
     Raises:
         InputError: A size or the focal length isn't positive, or the margin is negative.
@@ -28,7 +28,7 @@ class Camera:
     focal_px: float
     center_px: tuple[float, float] | None = None
     margin_px: int = 0
-    baseline_m: float = 0.54
+    baseline_m: float | None = None
 
     def __post_init__(self) -> None:
         if min(self.width, self.height, self.focal_px) <= 0 or self.margin_px < 0:
@@ -99,3 +99,6 @@ class ScanPattern:
 def hdl64() -> ScanPattern:
     """Velodyne HDL-64E at 10 Hz: the scanner of KITTI."""
     return ScanPattern.hdl64()
+
+
+SCANNERS: dict[str, ScanPattern] = {"hdl64": hdl64()}  # by the names that configurations use

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from depthreg.data.sample import Frame
+from depthreg.data.sample import Frame, OffsetView
 from depthreg.rendering.camera import Camera, ScanPattern
 from depthreg.rendering.scan import no_returns, scan_scene
 from depthreg.rendering.shading import develop, shade, sky
@@ -23,10 +23,23 @@ class _View:
     linear: np.ndarray  # (3, H, W) float32 linear light
     depth_m: np.ndarray  # (H, W) float32, 0 = sky
     face: np.ndarray  # (H, W) int32, -1 = sky
+    albedo: np.ndarray  # (H, W) float32, mean over colours; 0 in the sky, and in what wasn't shaded again
+    gloss: np.ndarray  # (H, W) float32, likewise
     border_px: int
 
+    def inner(self, values: np.ndarray, camera: Camera) -> np.ndarray:
+        """Values (H, W) of the camera's frame alone, without the border."""
+        return values[self.border_px : self.border_px + camera.height, self.border_px : self.border_px + camera.width]
 
-def render_frame(scene: Scene, camera: Camera, scan: ScanPattern | None, *, right: bool = True) -> Frame:
+
+def render_frame(
+    scene: Scene,
+    camera: Camera,
+    scan: ScanPattern | None,
+    *,
+    right: bool = True,
+    rgb_from_depth: np.ndarray | None = None,
+) -> Frame:
     """Render everything that perfect instruments would see.
 
     Args:
@@ -34,33 +47,65 @@ def render_frame(scene: Scene, camera: Camera, scan: ScanPattern | None, *, righ
         camera: The left colour camera, at the scene's camera pose.
         scan: The LiDAR's beams; none gives no returns.
         right: Whether to render the right camera's image; without, it has no pixels: (0, 0, 3).
+        rgb_from_depth: Where given, a second colour camera is rendered from its own position: the rigid transform
+            (4, 4) from this camera's coordinates into its own.
     """
+    camera = replace(camera, baseline_m=camera.baseline_m or scene.baseline_m)
     world_from_camera = np.linalg.inv(scene.camera_from_world)
     rotation = world_from_camera[:3, :3].astype(np.float32)
     surfaces = merge(scene, world_from_camera[:3, 3])
     left = _look(surfaces, scene.light, camera, rotation, camera.margin_px + _BLUR_PX)
-    inner = np.s_[left.border_px : left.border_px + camera.height, left.border_px : left.border_px + camera.width]
-    face = np.where(left.depth_m <= _SKY_BEYOND_M, left.face, -1)[inner]
-    rgb_right = np.zeros((0, 0, 3), np.uint8)
+    face = left.inner(np.where(left.depth_m <= _SKY_BEYOND_M, left.face, -1), camera)
+    rgb_right, depth_right_m = np.zeros((0, 0, 3), np.uint8), np.zeros((0, 0), np.float32)
     if right:
-        other = _look(surfaces, scene.light, camera, rotation, _BLUR_PX, left)
+        other = _look(surfaces, scene.light, camera, rotation, _BLUR_PX, left=left)
         rgb_right = develop(other.linear, scene.light.exposure)
+        depth_right_m = _within_reach(other.inner(other.depth_m, camera))
     lidar = scan_scene(scene, surfaces, camera, scan, world_from_camera) if scan else no_returns()
+    offset = None
+    if rgb_from_depth is not None:
+        offset = _offset_view(surfaces, scene.light, camera, rotation, rgb_from_depth)
     return Frame(
         rgb=develop(left.linear, scene.light.exposure),
         margin_px=camera.margin_px,
-        depth_m=_to_bins(np.where(face >= 0, left.depth_m[inner], 0), scene.depth_bin_m),
+        depth_m=_to_bins(_within_reach(left.inner(left.depth_m, camera)), scene.depth_bin_m),
         object_id=np.where(face >= 0, surfaces.object_id[face], -1),
         normal=_facing_normals(surfaces.normal, face, camera, rotation),
+        albedo=np.where(face >= 0, left.inner(left.albedo, camera), 0),
+        gloss=np.where(face >= 0, left.inner(left.gloss, camera), 0),
         intrinsics=camera.intrinsics,
         rgb_right=rgb_right,
-        baseline_m=camera.baseline_m,
+        depth_right_m=depth_right_m,
+        baseline_m=camera.baseline_m or 0.0,
         lidar=replace(lidar, depth_m=_to_bins(lidar.depth_m, scene.depth_bin_m)),
+        offset=offset,
     )
 
 
+def _within_reach(depth_m: np.ndarray) -> np.ndarray:
+    """Depth with what lies too far for any sensor counted as sky."""
+    return np.where(depth_m <= _SKY_BEYOND_M, depth_m, 0)
+
+
+def _offset_view(
+    surfaces: Surfaces, light: Light, camera: Camera, rotation: np.ndarray, rgb_from_depth: np.ndarray
+) -> OffsetView:
+    """What a colour camera sees that stands where `rgb_from_depth` says; `rotation` is the depth camera's."""
+    depth_from_rgb = np.linalg.inv(rgb_from_depth).astype(np.float32)
+    position = rotation @ depth_from_rgb[:3, 3]
+    border_px = camera.margin_px + _BLUR_PX
+    view = _look(surfaces, light, camera, rotation @ depth_from_rgb[:3, :3], border_px, position)
+    return OffsetView(develop(view.linear, light.exposure), rgb_from_depth)
+
+
 def _look(
-    surfaces: Surfaces, light: Light, camera: Camera, rotation: np.ndarray, border_px: int, left: _View | None = None
+    surfaces: Surfaces,
+    light: Light,
+    camera: Camera,
+    rotation: np.ndarray,
+    border_px: int,
+    position: np.ndarray | None = None,
+    left: _View | None = None,
 ) -> _View:
     """What the camera sees.
 
@@ -70,15 +115,19 @@ def _look(
         camera: What to look with.
         rotation: The camera's axes in the world, (3, 3) float32.
         border_px: How far to look beyond the frame.
+        position: Where the camera stands in world axes, relative to the surfaces' origin (3,); there where not given.
         left: Where given, this is the right camera; what the left one saw already isn't shaded again.
     """
     pixels = camera.rays(border_px)
     height, width = pixels.shape[:2]
     pixels = pixels.reshape(-1, 3)
-    position = np.zeros(3) if left is None else rotation[:, 0] * camera.baseline_m
+    baseline_m = camera.baseline_m or 0.0
+    if position is None:
+        position = np.zeros(3) if left is None else rotation[:, 0] * baseline_m
     linear = np.empty((3, len(pixels)), np.float32)
     depth_m = np.zeros(len(pixels), np.float32)
     face = np.full(len(pixels), -1, np.int32)
+    albedo, gloss = np.zeros((2, len(pixels)), np.float32)
     for start in range(0, len(pixels), _RAYS_AT_ONCE):
         part = slice(start, start + _RAYS_AT_ONCE)
         rays = pixels[part] @ rotation.T
@@ -92,14 +141,22 @@ def _look(
         color[:, missed] = sky(light, rays.take(missed, axis=0).T)
         if left is not None:
             row, column = np.divmod(hits.ray + start, width)
-            disparity_px = camera.focal_px * camera.baseline_m / depth_m[part].take(hits.ray)
+            disparity_px = camera.focal_px * baseline_m / depth_m[part].take(hits.ray)
             shift = left.border_px - border_px
             known, same = _seen_before(left, row + shift, column + shift + disparity_px, hits.face)
             color[:, hits.ray[known]] = same
             hits = hits.take(np.flatnonzero(~known))
-        color[:, hits.ray] = shade(surfaces, light, hits, 1 / camera.focal_px)
+        paint, polish = surfaces.albedo(hits, 1 / camera.focal_px)
+        albedo[part][hits.ray], gloss[part][hits.ray] = paint.mean(axis=0), polish
+        color[:, hits.ray] = shade(surfaces, light, hits, paint, polish)
+    size = (height, width)
     return _View(
-        linear.reshape(3, height, width), depth_m.reshape(height, width), face.reshape(height, width), border_px
+        linear=linear.reshape(3, *size),
+        depth_m=depth_m.reshape(size),
+        face=face.reshape(size),
+        albedo=albedo.reshape(size),
+        gloss=gloss.reshape(size),
+        border_px=border_px,
     )
 
 

@@ -14,7 +14,17 @@ _MIN_DEPTH_M = 0.1
 def no_returns() -> LidarReturns:
     """The scan of a rig without a LiDAR."""
     values = np.zeros(0, np.float32)
-    return LidarReturns(np.zeros((0, 2), np.float32), values, values, values, values, np.zeros(0, np.int16))
+    return LidarReturns(
+        uv_px=np.zeros((0, 2), np.float32),
+        depth_m=values,
+        range_m=values,
+        cos_incidence=values,
+        albedo=values,
+        gloss=values,
+        far_range_m=values,
+        near_share=values,
+        ring=np.zeros(0, np.int16),
+    )
 
 
 def _azimuth_limits_deg(camera: Camera, lidar_from_camera: np.ndarray) -> tuple[float, float]:
@@ -49,12 +59,15 @@ def scan_scene(
     uv_px = points[:, :2] / depth_m.clip(_MIN_DEPTH_M)[:, None] * camera.focal_px + camera.intrinsics[:2, 2]
     inside = (uv_px >= 0).all(axis=1) & (uv_px <= [camera.width - 1, camera.height - 1]).all(axis=1)
     keep = inside & (depth_m > _MIN_DEPTH_M) & (hits.range_m <= scan.max_range_m)
-    color, _ = surfaces.albedo(hits, _BEAM_RAD)
+    color, gloss = surfaces.albedo(hits, _BEAM_RAD)
     return LidarReturns(
         uv_px=uv_px[keep].astype(np.float32),
         depth_m=depth_m[keep],
         range_m=hits.range_m[keep],
         cos_incidence=hits.cos_incidence[keep],
         albedo=color[:, keep].mean(axis=0).clip(0, 1),
+        gloss=gloss[keep],
+        far_range_m=hits.range_m[keep],
+        near_share=np.ones(keep.sum(), np.float32),
         ring=ring[hits.ray[keep]],
     )

@@ -41,13 +41,12 @@ def _mirrored(light: Light, hits: Hits, sunlight: np.ndarray) -> np.ndarray:
     return around + open_sky * (sky(light, away) - around) + glint * _column(light.sun_rgb)
 
 
-def shade(surfaces: Surfaces, light: Light, hits: Hits, pixel_rad: float) -> np.ndarray:
-    """Colour (3, M) of the surfaces that camera rays hit: sun, ambient light, gloss and fog."""
-    color, gloss = surfaces.albedo(hits, pixel_rad)
+def shade(surfaces: Surfaces, light: Light, hits: Hits, albedo: np.ndarray, gloss: np.ndarray) -> np.ndarray:
+    """Colour (3, M) of surfaces of some albedo (3, M) and gloss (M,) that camera rays hit: sun, sky, polish and fog."""
     sunlight = surfaces.sunlight(hits, light)
     # The sky lights what faces up in full; the ground reflects half of it to what faces down.
     ambient = 0.75 + 0.25 * hits.normal[2]
-    color *= sunlight * _column(light.sun_rgb) + ambient * _column(light.ambient_rgb)
+    color = albedo * (sunlight * _column(light.sun_rgb) + ambient * _column(light.ambient_rgb))
     shiny = np.flatnonzero(gloss > 0.02)
     if len(shiny):
         polished = hits.take(shiny)

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from depthreg.data.sample import FrameBatch
 from depthreg.geometry import pixel_grid
+from depthreg.rendering import Rig
 
 
 def random_patches(
@@ -39,6 +40,8 @@ class Holes:
     patches: int = 12
     max_radius: float = 0.35
     missing_share: float = 0.95
+
+    rig = Rig()
 
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 where it is missing."""

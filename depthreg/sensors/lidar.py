@@ -3,12 +3,15 @@
 Sources: HDL-64E's data sheet (2 cm range noise) and CARLA's drop-off model (intensity exp(-0.004 / m * range)).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from depthreg.data.sample import FrameBatch
+from depthreg.data.sample import FrameBatch, LidarColumns
+from depthreg.errors import InputError
+from depthreg.rendering import SCANNERS, Rig
 
 
 def rasterize(uv_px: Tensor, depth_m: Tensor, size: tuple[int, int]) -> Tensor:
@@ -56,16 +59,28 @@ class Lidar:
     beside the scanner's returns; at 1 there are only returns, with fewer lines, drop-out and range noise.
 
     Args:
+        scanners: Names of the scanners, keys of `SCANNERS`; each frame is scanned by one of them.
         min_lines: Fewest of the 64 lines kept at difficulty 1.
         drop_share: Share of returns lost at random at difficulty 1.
         absorption_per_m: Rate at which a return's intensity falls with range.
         range_noise_m: Standard deviation of the range at difficulty 1.
     """
 
+    scanners: Sequence[str] = ("hdl64",)
     min_lines: int = 32
     drop_share: float = 0.1
     absorption_per_m: float = 0.004
     range_noise_m: float = 0.02
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.scanners) - set(SCANNERS))
+        if unknown or not self.scanners:
+            raise InputError(f"sensor.scanners must name some of {sorted(SCANNERS)}, got {list(self.scanners)}")
+
+    @property
+    def rig(self) -> Rig:
+        """One scanner a frame."""
+        return Rig(scans=tuple(SCANNERS[name] for name in self.scanners))
 
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """Sparse, noisy z-depth in metres, (B, 1, H, W); 0 where there is no return."""
@@ -78,12 +93,13 @@ class Lidar:
         return torch.where(scanned > 0, scanned, truth_m * survivors)
 
     def _returns(self, lidar: Tensor, difficulty: float, generator: torch.Generator | None) -> Tensor:
-        _, _, depth_m, range_m, _, _, ring = lidar.unbind(-1)
+        columns = LidarColumns(*lidar.unbind(-1))
+        depth_m, range_m = columns.depth_m, columns.range_m
         lost_share = difficulty * self.drop_share
         lines = 64 - difficulty * (64 - self.min_lines) * torch.rand(len(lidar), generator=generator)
         noise_m = torch.randn(range_m.shape, generator=generator).to(lidar.device) * self.range_noise_m * difficulty
         luck = torch.rand(range_m.shape, generator=generator).to(lidar.device)
         survives = luck < (1 - lost_share) * torch.exp(-difficulty * self.absorption_per_m * range_m)
-        kept = survives & keep_lines(ring, lines, generator) & (range_m > 0)
+        kept = survives & keep_lines(columns.ring, lines, generator) & (range_m > 0)
         # Range noise acts along the ray; z grows in proportion.
         return torch.where(kept, depth_m * (1 + noise_m / range_m.clamp(min=0.1)), 0).clamp(min=0)

@@ -3,6 +3,7 @@
 All randomness is drawn on the CPU, so that a generator's seed gives the same measurement on every device.
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -74,3 +75,29 @@ def misalign_rgb(rgb_with_margin: Tensor, affine_rgb_from_depth: Tensor, margin_
 def margin_for(max_corner_shift_px: float) -> int:
     """The margin that a renderer has to leave for misalignments up to this corner shift, with a tenth to spare."""
     return int(max_corner_shift_px * 1.1) + 2
+
+
+def fit_affine(depth_m: np.ndarray, intrinsics: np.ndarray, rgb_from_depth: np.ndarray) -> tuple[np.ndarray, float]:
+    """The affine that stands best for a colour camera with a position of its own.
+
+    Least squares over the depth's pixels, of where each one's point lies in the colour image.
+
+    Args:
+        depth_m: (H, W), 0 where unknown.
+        intrinsics: K of both cameras, (3, 3).
+        rgb_from_depth: Rigid transform between their coordinates, (4, 4).
+
+    Returns:
+        `affine_rgb_from_depth` (2, 3) float32, and the RMS distance in pixels that it leaves (parallax). Without any
+        depth it is the identity, and 0.
+    """
+    row, column = np.nonzero(depth_m)
+    if not len(row):
+        return np.eye(2, 3, dtype=np.float32), 0.0
+    pixels = np.stack([column, row, np.ones_like(row)], axis=-1).astype(np.float64)
+    points_m = (pixels @ np.linalg.inv(intrinsics).T) * depth_m[row, column, None]
+    seen = (points_m @ rgb_from_depth[:3, :3].T + rgb_from_depth[:3, 3]) @ intrinsics.T
+    places_px = seen[:, :2] / seen[:, 2:].clip(1e-3)
+    affine = np.linalg.lstsq(pixels, places_px, rcond=None)[0].T
+    parallax_px = np.sqrt(np.square(pixels @ affine.T - places_px).sum(axis=1).mean())
+    return affine.astype(np.float32), float(parallax_px)

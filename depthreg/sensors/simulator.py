@@ -8,11 +8,16 @@ from torch import Tensor
 
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.geometry import flip_affine, flip_intrinsics
+from depthreg.rendering import Rig
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, random_affines
 
 
 class DepthSensor(Protocol):
     """Any depth sensor: difficulty 0 reports the truth, 1 is the instrument at its worst."""
+
+    @property
+    def rig(self) -> Rig:
+        """What has to be rendered for it."""
 
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 where there is no return."""
@@ -33,6 +38,11 @@ class SensorSimulator:
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
 
+    @property
+    def rig(self) -> Rig:
+        """What has to be rendered for it."""
+        return self.depth_sensor.rig
+
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Measurement:
         """Simulate one measurement per frame; the generator lives on the CPU, whatever the frames' device."""
         if not 0 <= difficulty <= 1:
@@ -51,6 +61,7 @@ class SensorSimulator:
             truth_depth_m=truth_m,
             truth_rgb=truth_rgb,
             truth_affine_rgb_from_depth=affine,
+            truth_parallax_px=torch.zeros(batch, device=truth_m.device),
         )
 
 

@@ -75,7 +75,13 @@ class HouseholdWorld:
         objects += pieces + wall_things.decorations(rng, palette, plan, height)
         lamp = (width * rng.uniform(0.35, 0.65), depth * rng.uniform(0.35, 0.65), height)
         objects += assemble("ceiling lamp", [Part("cylinder", (0.4, 0.4, 0.06), (0, 0, -0.06), palette.linen)], lamp)
-        return Scene(objects, _light(rng, lamp), _camera(rng, plan, landmarks), lidar_from_camera(_LIDAR_IN_CAMERA_M))
+        return Scene(
+            objects,
+            _light(rng, lamp),
+            _camera(rng, plan, landmarks),
+            lidar_from_camera(_LIDAR_IN_CAMERA_M),
+            baseline_m=0.075,
+        )
 
 
 def _shell(rng: np.random.Generator, kind: str, size_m: Vector) -> list[SceneObject]:

@@ -58,4 +58,5 @@ class Scene:
     camera_from_world: np.ndarray  # (4, 4) rigid, metres
     # (4, 4) rigid; LiDAR coordinates: x forward, y left, z up
     lidar_from_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
+    baseline_m: float = 0.54  # of a stereo pair (or from camera to projector) that suits the place: KITTI's
     depth_bin_m: float | None = None  # where set, depth is reported at the centres of bins of this depth (stage 1)

@@ -27,7 +27,7 @@ def make_scene() -> MakeScene:
     ) -> Scene:
         objects = [SceneObject("thing", mesh, material or Material((0.5, 0.5, 0.5))) for mesh in meshes]
         light = Light(np.array(sun) / np.linalg.norm(sun), sun_rgb, ambient_rgb)
-        return Scene(objects, light, camera_from_world((0.0, 0.0, up_m)), lidar_from_camera(), depth_bin_m)
+        return Scene(objects, light, camera_from_world((0.0, 0.0, up_m)), lidar_from_camera(), depth_bin_m=depth_bin_m)
 
     return make
 

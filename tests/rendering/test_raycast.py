@@ -157,7 +157,7 @@ def test_far_patterns_fade_to_their_mean_instead_of_flickering(
 
 
 def test_the_right_image_is_what_a_camera_moved_by_the_baseline_sees() -> None:
-    scene, camera = DrivingWorld(styles=("city",))(0, 1), Camera(211, 83, focal_px=120.0, margin_px=4)
+    scene, camera = DrivingWorld(styles=("city",))(0, 1), Camera(211, 83, focal_px=120.0, margin_px=4, baseline_m=0.54)
     to_the_right = np.eye(4)
     to_the_right[0, 3] = -camera.baseline_m  # world points lie that much farther left
     moved = replace(scene, camera_from_world=to_the_right @ scene.camera_from_world)

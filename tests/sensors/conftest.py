@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from depthreg.data.sample import FrameBatch
+from depthreg.data.sample import FrameBatch, LidarColumns
 
 MakeFrames = Callable[..., FrameBatch]
 
@@ -28,12 +28,14 @@ def make_frames() -> MakeFrames:
         at_m = depth_m[:, 0, rows, columns].flatten(1)
         columns, rows = columns.flatten().expand_as(at_m), rows.flatten().expand_as(at_m)
         ring = (rows * 64 // height).float()
-        lidar = [columns, rows, at_m, 1.1 * at_m, torch.ones_like(at_m), 0.5 * torch.ones_like(at_m), ring]
+        one, range_m = torch.ones_like(at_m), 1.1 * at_m
+        lidar = LidarColumns(columns, rows, at_m, range_m, one, 0.5 * one, 0 * one, range_m, one, ring)
         return FrameBatch(
             rgb=rgb,
             depth_m=depth_m,
             intrinsics=torch.tensor([[80.0, 0, 44], [0, 80, 31], [0, 0, 1]]).repeat(batch, 1, 1),
             lidar=torch.stack(lidar, dim=-1),
+            baseline_m=torch.full((batch,), 0.54),
             index=torch.arange(batch) + 5,
         )
 

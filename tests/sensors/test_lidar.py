@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from depthreg.data.sample import FrameBatch
+from depthreg.data.sample import FrameBatch, LidarColumns
 from depthreg.sensors import Lidar
 from depthreg.sensors.lidar import keep_lines, rasterize
 
@@ -17,15 +17,10 @@ def returns_at(range_m: float, count: int) -> FrameBatch:
     """One return a pixel, all at one range; the camera sees nothing, so the image holds returns alone."""
     column = torch.arange(count, dtype=torch.float32)
     constant = torch.ones(count)
-    lidar = [
-        column,
-        0 * constant,
-        0.8 * range_m * constant,
-        range_m * constant,
-        constant,
-        constant,
-        column % 64,
-    ]
+    at_m = range_m * constant
+    lidar = LidarColumns(
+        column, 0 * constant, 0.8 * at_m, at_m, constant, constant, 0 * constant, at_m, constant, column % 64
+    )
     return FrameBatch(
         rgb=torch.zeros(1, 3, 1, count, dtype=torch.uint8),
         depth_m=torch.zeros(1, 1, 1, count),
@@ -93,7 +88,7 @@ def test_fewer_lines_are_kept_as_it_gets_harder() -> None:
 
 def test_padding_is_no_return() -> None:
     frames = returns_at(9.0, 64)
-    frames["lidar"] = torch.cat([frames["lidar"], torch.zeros(1, 30, 7)], dim=1)
+    frames["lidar"] = torch.cat([frames["lidar"], torch.zeros(1, 30, 10)], dim=1)
     frames["lidar"][0, 0, 2:4] = 0  # nothing but padding is left at pixel (0, 0)
     sensor = Lidar(min_lines=64, drop_share=0.0, absorption_per_m=0.0)
     assert sensor(frames, 1.0, generator())[0, 0, 0, 0] == 0
