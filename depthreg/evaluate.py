@@ -111,6 +111,7 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
             count=data.val_count,
             max_depth_m=data.max_depth_m,
             cache_dir=Path(data.cache_dir) if data.cache_dir else None,
+            renderer=instantiate(config.rendering),
         )
         dataset = SyntheticMeasurements(frames, simulator, config.difficulty, config.seed)
     else:

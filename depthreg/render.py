@@ -16,7 +16,7 @@ from depthreg.config import require_counts, run_application
 from depthreg.data import io
 from depthreg.data.sample import Frame
 from depthreg.errors import InputError
-from depthreg.rendering import Camera, ScanPattern, render_frame
+from depthreg.rendering import Camera, Embree, Renderer, ScanPattern
 from depthreg.sensors.lidar import rasterize
 from depthreg.viz import depth_limits_m, depth_with_bar, overlay_points, panel
 from depthreg.worlds.scene import Scene
@@ -46,9 +46,9 @@ def check(config: DictConfig) -> None:
 
 def run(config: DictConfig) -> None:
     """Render the frames and say where they are."""
-    world, camera, scan = (instantiate(config[key]) for key in ("world", "camera", "scan"))
+    world, camera, scan, renderer = (instantiate(config[key]) for key in ("world", "camera", "scan", "rendering"))
     out = Path(HydraConfig.get().runtime.output_dir)
-    folders = render_gallery(world, camera, scan, config.seed, config.count, out)
+    folders = render_gallery(world, camera, scan, config.seed, config.count, out, renderer)
     Console().print(f"{len(folders)} frames in {out}\nall of them {out / 'overview.png'}", soft_wrap=True)
 
 
@@ -59,6 +59,7 @@ def render_gallery(
     seed: int,
     count: int,
     out_dir: Path,
+    renderer: Renderer | None = None,
 ) -> list[Path]:
     """Render the frames 0 to count - 1 of a world into files.
 
@@ -69,6 +70,7 @@ def render_gallery(
         seed: First number of every scene.
         count: How many frames.
         out_dir: A new or an empty folder; it appears whole or not at all.
+        renderer: Renders the frames; Embree where not given.
 
     Returns:
         One folder for each frame, with what `write_frame` writes; `out_dir` also gets `overview.png`.
@@ -80,9 +82,9 @@ def render_gallery(
         raise InputError(f"count={count} asks for no frame: a positive number was expected")
     names = [f"{index:06d}" for index in range(count)]
     with io.atomic_folder(out_dir) as folder:
-        overview = []
+        overview, renderer = [], renderer or Embree()
         for index, name in track(list(enumerate(names)), "Rendering", console=Console(stderr=True), transient=True):
-            frame = render_frame(world(seed, index), camera, scan)
+            frame = renderer(world(seed, index), camera, scan)
             write_frame(folder / name, frame)
             height = round(_OVERVIEW_WIDTH_PX * camera.height / camera.width)
             small = cv2.resize(inner_rgb(frame), (_OVERVIEW_WIDTH_PX, height), interpolation=cv2.INTER_AREA)

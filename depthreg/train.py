@@ -143,6 +143,7 @@ def build_stage(
         seed=config.seed,
         max_depth_m=data.max_depth_m,
         cache_dir=data.cache_dir,
+        renderer=build(config.rendering),
     )
     return module, datamodule, ramp
 

@@ -12,9 +12,9 @@ from depthreg.errors import InputError
 NEEDED = {"train": [], "render": [], "evaluate": ["checkpoint=x", "data.root=x"]}
 ONLY_WITH = {("data", "folder"): ["data.depth_scale=256"], ("data", "synthetic"): []}
 GROUPS_OF = {
-    "train": ["stage", "data", "model", "loss", "callbacks", "logger", "trainer", "preset", "experiment"],
-    "evaluate": ["data", "world", "sensor"],
-    "render": ["world", "camera"],
+    "train": ["stage", "data", "model", "loss", "callbacks", "logger", "trainer", "preset", "experiment", "rendering"],
+    "evaluate": ["data", "world", "sensor", "rendering"],
+    "render": ["world", "camera", "rendering"],
 }
 
 

@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import DataLoader, Sampler
 
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
-from depthreg.rendering import Rig
+from depthreg.rendering import Renderer, Rig
 from depthreg.sensors.simulator import seeded_generator
 from depthreg.worlds.scene import Scene
 
@@ -53,6 +53,7 @@ class SyntheticDataModule(L.LightningDataModule):
         seed: Seed of the training frames.
         max_depth_m: Depth beyond this is unknown.
         cache_dir: Folder that keeps rendered frames; None renders each time.
+        renderer: Renders them; Embree where not given.
     """
 
     def __init__(
@@ -67,12 +68,13 @@ class SyntheticDataModule(L.LightningDataModule):
         seed: int = 0,
         max_depth_m: float = 120.0,
         cache_dir: str | None = None,
+        renderer: Renderer | None = None,
     ) -> None:
         super().__init__()
         cache = Path(cache_dir) if cache_dir else None
-        self.train_frames = SyntheticFrames(world, camera, rig, seed, train_count, max_depth_m, cache)
+        self.train_frames = SyntheticFrames(world, camera, rig, seed, train_count, max_depth_m, cache, renderer)
         self.val_frames = SyntheticFrames(
-            world, camera, rig, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache
+            world, camera, rig, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache, renderer
         )
         self.shuffle = EpochShuffle(train_count, seed)
         self.options: dict[str, Any] = {

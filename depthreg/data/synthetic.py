@@ -12,7 +12,7 @@ from torch.utils.data import Dataset
 
 from depthreg.data.io import atomic_write
 from depthreg.data.sample import Frame, FrameBatch, LidarColumns, Measurement
-from depthreg.rendering import Camera, Rig, render_frame
+from depthreg.rendering import Camera, Embree, Renderer, Rig
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, fit_affine, margin_for
 from depthreg.sensors.simulator import SensorSimulator, simulate_each
 from depthreg.worlds.scene import Scene
@@ -55,7 +55,7 @@ class RandomCamera:
 
 
 class SyntheticFrames(Dataset[dict[str, Any]]):
-    """Frames of one world; item i is a function of (world, camera, rig, seed, i) alone.
+    """Frames of one world; item i is a function of (world, camera, rig, seed, renderer, i) alone.
 
     Args:
         world: Builds the scene of (seed, index).
@@ -65,6 +65,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         count: How many frames.
         max_depth_m: Depth beyond this is unknown (0), as beyond any scanner's range.
         cache_dir: Folder that keeps rendered frames; None renders each time.
+        renderer: Renders them; Embree where not given.
     """
 
     def __init__(
@@ -76,10 +77,12 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         count: int,
         max_depth_m: float,
         cache_dir: Path | None = None,
+        renderer: Renderer | None = None,
     ) -> None:
         self.world, self.camera, self.rig, self.seed, self.count = world, camera, rig, seed, count
-        self.max_depth_m = max_depth_m
-        recipe = repr((world, camera, rig, seed, max_depth_m)).encode() + _code_of("worlds", "rendering", "sensors")
+        self.max_depth_m, self.renderer = max_depth_m, renderer or Embree()
+        recipe = repr((world, camera, rig, seed, max_depth_m, self.renderer)).encode()
+        recipe += _code_of("worlds", "rendering", "sensors")
         self.folder = cache_dir / hashlib.sha256(recipe).hexdigest()[:16] if cache_dir else None
 
     def __len__(self) -> int:
@@ -89,7 +92,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         """Render frame `index`, with what the rig needs in it."""
         camera = self.camera(np.random.default_rng([self.seed, index, 1]))
         rng, rig = np.random.default_rng([self.seed, index, 2]), self.rig
-        return render_frame(
+        return self.renderer(
             self.world(self.seed, index),
             camera,
             rig.scans[rng.integers(len(rig.scans))] if rig.scans else None,

@@ -2,6 +2,18 @@
 
 from depthreg.rendering.camera import SCANNERS, Camera, ScanPattern, hdl64
 from depthreg.rendering.raycast import render_frame
+from depthreg.rendering.renderer import Embree, Renderer
 from depthreg.rendering.rig import PairMatcher, RandomOffset, Rig
 
-__all__ = ["SCANNERS", "Camera", "PairMatcher", "RandomOffset", "Rig", "ScanPattern", "hdl64", "render_frame"]
+__all__ = [
+    "SCANNERS",
+    "Camera",
+    "Embree",
+    "PairMatcher",
+    "RandomOffset",
+    "Renderer",
+    "Rig",
+    "ScanPattern",
+    "hdl64",
+    "render_frame",
+]

@@ -1,5 +1,6 @@
 """Synthetic frames: the same everywhere, cached or not, and different between training and validation."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import torch
 from torch.utils.data import DataLoader
 
 from depthreg.data.datamodule import SyntheticDataModule
+from depthreg.data.sample import Frame
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, SyntheticMeasurements, collate_frames
-from depthreg.rendering import Rig, hdl64
+from depthreg.rendering import Embree, Rig, hdl64
 from depthreg.sensors import Lidar, SensorSimulator
 from depthreg.worlds import BlocksWorld
 
@@ -151,3 +153,18 @@ def test_a_measurement_is_a_function_of_its_index_alone() -> None:
     assert_same(last, again)
     assert last["rgb"].shape == (3, 65, 79) and last["depth_m"].shape == (1, 65, 79)
     assert not torch.equal(last["truth_affine_rgb_from_depth"], second[1]["truth_affine_rgb_from_depth"])
+
+
+class _Negative(Embree):
+    """A renderer whose pictures are negatives."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Frame:
+        frame = super().__call__(*arguments, **options)
+        return replace(frame, rgb=255 - frame.rgb)
+
+
+def test_another_renderer_draws_the_frames_and_keeps_them_apart(tmp_path: Path) -> None:
+    usual = make_frames(count=1, cache_dir=tmp_path)
+    other = make_frames(count=1, cache_dir=tmp_path, renderer=_Negative())
+    np.testing.assert_array_equal(other[0]["rgb"], 255 - usual[0]["rgb"])
+    assert other.folder != usual.folder
