@@ -11,6 +11,7 @@ COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
     "train": ("depthreg.train", "walk the curriculum, or one stage of it"),
     "evaluate": ("depthreg.evaluate", "score a checkpoint beside the classical baselines"),
     "complete": ("depthreg.complete", "complete and register your own files"),
+    "gallery": ("depthreg.gallery", "see what each stage of the curriculum measures"),
     "render": ("depthreg.render", "look at the synthetic worlds"),
 }
 

@@ -111,7 +111,12 @@ def panel(tiles: list[Tile], columns: int = 1) -> np.ndarray:
     """Arrange captioned pictures, of whatever sizes, in a grid."""
     font_px = max(16, max(image.shape[1] for _, image in tiles) // 54)
     framed = [_with_caption(caption, image, font_px) for caption, image in tiles]
-    rows = [framed[start : start + columns] for start in range(0, len(framed), columns)]
+    return grid([framed[start : start + columns] for start in range(0, len(framed), columns)])
+
+
+def grid(rows: list[list[np.ndarray]]) -> np.ndarray:
+    """Arrange pictures of whatever sizes in rows and columns."""
+    columns = max(len(row) for row in rows)
     widths = [max(row[column].shape[1] for row in rows if column < len(row)) for column in range(columns)]
     padded = []
     for row in rows:
@@ -167,16 +172,16 @@ def sample_panel(
     limits = depth_limits_m(sparse, truth)
     judge, outlines = ("true", truth) if np.mean(truth > 0) > 0.5 else ("completed", completed)
     tiles = [
-        (f"colour as given, edges of the {judge} depth", _enlarge(edges_overlay(before, outlines), factor)),
-        ("colour aligned, the same edges", _enlarge(edges_overlay(after, outlines), factor)),
-        (f"depth as given, {np.mean(sparse > 0):.1%} of pixels", _depth_tile(sparse, limits, factor)),
-        ("depth completed", _depth_tile(completed, limits, factor)),
+        (f"colour as given, edges of the {judge} depth", enlarge(edges_overlay(before, outlines), factor)),
+        ("colour aligned, the same edges", enlarge(edges_overlay(after, outlines), factor)),
+        (f"depth as given, {np.mean(sparse > 0):.1%} of pixels", depth_tile(sparse, limits, factor)),
+        ("depth completed", depth_tile(completed, limits, factor)),
     ]
     if truth.any():
         error = np.where(truth > 0, np.abs(completed - truth), np.nan)
-        tiles.append(("true depth", _depth_tile(truth, limits, factor)))
+        tiles.append(("true depth", depth_tile(truth, limits, factor)))
         # Relative to the scene's depth, not to the error: pictures of one scene stay comparable over epochs.
-        in_colour = error_with_bar(_enlarge(error, factor), limits[1] / 20)
+        in_colour = error_with_bar(enlarge(error, factor), limits[1] / 20)
         tiles.append((f"error, mean {np.nanmean(error):.2f} m", in_colour))
     return panel(tiles, columns)
 
@@ -186,12 +191,13 @@ def to_picture(rgb: Tensor) -> np.ndarray:
     return (255 * rgb.detach().clamp(0, 1)).round().byte().permute(1, 2, 0).cpu().numpy()
 
 
-def _enlarge(image: np.ndarray, factor: int) -> np.ndarray:
+def enlarge(image: np.ndarray, factor: int) -> np.ndarray:
+    """A picture `factor` times as large, every pixel a square."""
     return image.repeat(factor, axis=0).repeat(factor, axis=1)
 
 
-def _depth_tile(depth_m: np.ndarray, limits_m: tuple[float, float], factor: int) -> np.ndarray:
+def depth_tile(depth_m: np.ndarray, limits_m: tuple[float, float], factor: int) -> np.ndarray:
     """Coloured depth with its scale; returns that are few are grown until they can be seen."""
     share = max(float(np.mean(depth_m > 0)), 1e-3)
     radius_px = max(0, round((np.sqrt(0.25 / share) - 1) / 2))  # about a quarter of the picture gets covered
-    return depth_with_bar(_enlarge(dilate_depth(depth_m, radius_px), factor), *limits_m)
+    return depth_with_bar(enlarge(dilate_depth(depth_m, radius_px), factor), *limits_m)

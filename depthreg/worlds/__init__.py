@@ -3,5 +3,6 @@
 from depthreg.worlds.blocks import BlocksWorld
 from depthreg.worlds.driving import DrivingWorld
 from depthreg.worlds.household import HouseholdWorld
+from depthreg.worlds.mixed import MixedWorld
 
-__all__ = ["BlocksWorld", "DrivingWorld", "HouseholdWorld"]
+__all__ = ["BlocksWorld", "DrivingWorld", "HouseholdWorld", "MixedWorld"]
