@@ -3,6 +3,19 @@
 from depthreg.sensors.clean import Clean
 from depthreg.sensors.holes import Holes
 from depthreg.sensors.lidar import Lidar
+from depthreg.sensors.matching import CameraPair, SemiGlobal, StereoMatcher
+from depthreg.sensors.projector import Projector
 from depthreg.sensors.simulator import SensorSimulator
+from depthreg.sensors.stereo import Stereo
 
-__all__ = ["Clean", "Holes", "Lidar", "SensorSimulator"]
+__all__ = [
+    "CameraPair",
+    "Clean",
+    "Holes",
+    "Lidar",
+    "Projector",
+    "SemiGlobal",
+    "SensorSimulator",
+    "Stereo",
+    "StereoMatcher",
+]

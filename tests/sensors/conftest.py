@@ -30,6 +30,8 @@ def make_frames() -> MakeFrames:
         ring = (rows * 64 // height).float()
         one, range_m = torch.ones_like(at_m), 1.1 * at_m
         lidar = LidarColumns(columns, rows, at_m, range_m, one, 0.5 * one, 0 * one, range_m, one, ring)
+        column, row = torch.meshgrid(torch.arange(width), torch.arange(height), indexing="xy")
+        matched_px = 80 * 0.54 / depth_m * (1 + 0.05 * torch.sin(0.9 * column + row))
         return FrameBatch(
             rgb=rgb,
             depth_m=depth_m,
@@ -37,6 +39,7 @@ def make_frames() -> MakeFrames:
             lidar=torch.stack(lidar, dim=-1),
             baseline_m=torch.full((batch,), 0.54),
             index=torch.arange(batch) + 5,
+            disparity_px=matched_px * (torch.sin(0.2 * column - 0.3 * row) < 0.7),  # with stripes without an answer
         )
 
     return make

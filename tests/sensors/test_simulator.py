@@ -8,11 +8,11 @@ from torch import Tensor
 
 from depthreg.data.sample import FrameBatch
 from depthreg.geometry import identity_affine, warp_affine
-from depthreg.sensors import Clean, Holes, Lidar, SensorSimulator
+from depthreg.sensors import Clean, Holes, Lidar, SensorSimulator, Stereo
 from depthreg.sensors.simulator import DepthSensor, augment, seeded_generator, simulate_each
 
 MakeFrames = Callable[..., FrameBatch]
-SENSORS = [Clean(), Holes(), Lidar()]
+SENSORS = [Clean(), Holes(), Lidar(), Stereo()]
 MAX_SHIFT_PX = 80.0  # for 1242 px of width, so about 6 px here
 
 
