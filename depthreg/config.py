@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from depthreg.errors import InputError
+from depthreg.sensors import SensorSimulator
 
 _PACKAGE = Path(__file__).parent
 # A wheel carries conf/ inside the package; a checkout and an editable install have it beside the package.
@@ -125,6 +126,17 @@ def build(node: DictConfig, **arguments: Any) -> Any:
         return instantiate(node, _convert_="all", **arguments)
     except InstantiationException as error:
         raise InputError(f"{node._target_}: {error.__cause__ or error}") from error
+
+
+def build_simulator(node: DictConfig) -> SensorSimulator:
+    """The sensor simulator of a stage, or of another node with a sensor and a largest misalignment.
+
+    Raises:
+        InputError: A part refuses a value.
+        ValueError: The simulator does.
+    """
+    parts = {key: build(node[key]) for key in ("offset",) if node.get(key)}
+    return SensorSimulator(build(node.sensor), node.max_corner_shift_px, offset_share=node.offset_share, **parts)
 
 
 def require_counts(config: DictConfig, keys: Sequence[str], at_least: int = 1) -> None:

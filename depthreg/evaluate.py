@@ -19,7 +19,7 @@ from torchmetrics import MeanMetric
 
 from depthreg.baselines import COMPLETION_BASELINES, registration_baselines
 from depthreg.checkpoint import find_checkpoint, load_network
-from depthreg.config import require_counts, run_application
+from depthreg.config import build_simulator, require_counts, run_application
 from depthreg.data import io
 from depthreg.data.datamodule import VALIDATION_SEED_OFFSET
 from depthreg.data.sample import Measurement
@@ -29,7 +29,6 @@ from depthreg.geometry import identity_affine, warp_affine
 from depthreg.metrics import DepthMetrics, RegistrationMetrics, masked_ssim
 from depthreg.networks import JointOutput
 from depthreg.report import Results, rich_table, write_report
-from depthreg.sensors import SensorSimulator
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, margin_for, misalign_rgb, random_affines
 from depthreg.sensors.simulator import seeded_generator
 from depthreg.viz import sample_panel, to_picture
@@ -59,7 +58,7 @@ def check(config: DictConfig) -> None:
         raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")
     require_counts(config, ["limit", "data.val_count"])
     require_counts(config, ["panels", "seed"], at_least=0)
-    for key, limit in {"max_corner_shift_px": 200, "difficulty": 1}.items():
+    for key, limit in {"max_corner_shift_px": 200, "difficulty": 1, "offset_share": 1}.items():
         if not isinstance(config[key], int | float) or not 0 <= config[key] <= limit:
             raise InputError(f"{key}={config[key]}: expected a number from 0 to {limit}")
     load_network(_checkpoint(config))
@@ -102,7 +101,7 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
     data = config.data
     dataset: Any
     if data.name == "synthetic":
-        simulator = SensorSimulator(instantiate(config.sensor, _convert_="all"), config.max_corner_shift_px)
+        simulator = build_simulator(config)
         frames = SyntheticFrames(
             instantiate(config.world),
             instantiate(data.camera, max_corner_shift_px=config.max_corner_shift_px, _convert_="all"),

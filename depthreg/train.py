@@ -19,14 +19,13 @@ from rich.console import Console
 
 from depthreg.callbacks import DifficultyRamp
 from depthreg.checkpoint import load_weights, read_checkpoint
-from depthreg.config import build, require_counts, require_positive, run_application
+from depthreg.config import build, build_simulator, require_counts, require_positive, run_application
 from depthreg.data.datamodule import SyntheticDataModule
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
-from depthreg.sensors import SensorSimulator
 from depthreg.stages import Stage
 
 
@@ -127,7 +126,7 @@ def build_stage(
     """
     stage, data = config.stages[name], config.data
     try:
-        simulator = SensorSimulator(build(stage.sensor), stage.max_corner_shift_px)
+        simulator = build_simulator(stage)
         ramp = DifficultyRamp(**stage.difficulty)
     except ValueError as error:
         raise InputError(f"stages.{name}: {error}") from error

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from depthreg.data.sample import Frame
+from depthreg.errors import InputError
 from depthreg.rendering.camera import ScanPattern
 
 
@@ -24,10 +25,20 @@ class RandomOffset:
     Args:
         max_shift_m: Largest displacement along each axis, metres.
         max_turn_deg: Largest turn about each axis, degrees.
+
+    Raises:
+        InputError: A limit is negative, or the turn would make the colour camera look elsewhere.
     """
 
     max_shift_m: float
     max_turn_deg: float
+
+    def __post_init__(self) -> None:
+        if not self.max_shift_m >= 0 or not 0 <= self.max_turn_deg <= 10:
+            raise InputError(
+                "offset: expected max_shift_m of at least 0 and max_turn_deg from 0 to 10, "
+                f"got {self.max_shift_m} and {self.max_turn_deg}"
+            )
 
     def __call__(self, rng: np.random.Generator) -> np.ndarray:
         """One `rgb_from_depth`, (4, 4) rigid."""

@@ -80,7 +80,8 @@ def margin_for(max_corner_shift_px: float) -> int:
 def fit_affine(depth_m: np.ndarray, intrinsics: np.ndarray, rgb_from_depth: np.ndarray) -> tuple[np.ndarray, float]:
     """The affine that stands best for a colour camera with a position of its own.
 
-    Least squares over the depth's pixels, of where each one's point lies in the colour image.
+    Least squares over the depth's pixels that the colour camera sees too, of where each one's point lies in its image.
+    The sky has no depth and so no say.
 
     Args:
         depth_m: (H, W), 0 where unknown.
@@ -88,16 +89,41 @@ def fit_affine(depth_m: np.ndarray, intrinsics: np.ndarray, rgb_from_depth: np.n
         rgb_from_depth: Rigid transform between their coordinates, (4, 4).
 
     Returns:
-        `affine_rgb_from_depth` (2, 3) float32, and the RMS distance in pixels that it leaves (parallax). Without any
-        depth it is the identity, and 0.
+        `affine_rgb_from_depth` (2, 3) float32, and the RMS distance in pixels that it leaves (parallax). Where fewer
+        than three points are seen, which leave an affine open, it is the identity, and 0.
     """
     row, column = np.nonzero(depth_m)
-    if not len(row):
-        return np.eye(2, 3, dtype=np.float32), 0.0
     pixels = np.stack([column, row, np.ones_like(row)], axis=-1).astype(np.float64)
     points_m = (pixels @ np.linalg.inv(intrinsics).T) * depth_m[row, column, None]
-    seen = (points_m @ rgb_from_depth[:3, :3].T + rgb_from_depth[:3, 3]) @ intrinsics.T
-    places_px = seen[:, :2] / seen[:, 2:].clip(1e-3)
+    points_m = points_m @ rgb_from_depth[:3, :3].T + rgb_from_depth[:3, 3]
+    inverse_depth = 1 / points_m[:, 2].clip(1e-3)  # what lies behind the camera lands far outside its image
+    places_px = (points_m @ intrinsics.T)[:, :2] * inverse_depth[:, None]
+    parallax_px = intrinsics[0, 0] * np.linalg.norm(rgb_from_depth[:3, 3]) * inverse_depth
+    seen = _nearest_in_its_pixel(places_px, parallax_px, depth_m.shape)
+    pixels, places_px = pixels[seen], places_px[seen]
+    if len(pixels) < 3:
+        return np.eye(2, 3, dtype=np.float32), 0.0
     affine = np.linalg.lstsq(pixels, places_px, rcond=None)[0].T
-    parallax_px = np.sqrt(np.square(pixels @ affine.T - places_px).sum(axis=1).mean())
-    return affine.astype(np.float32), float(parallax_px)
+    residual_px = np.sqrt(np.square(pixels @ affine.T - places_px).sum(axis=1).mean())
+    return affine.astype(np.float32), float(residual_px)
+
+
+def _nearest_in_its_pixel(places_px: np.ndarray, parallax_px: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Which points lie in the image with nothing nearer before them, bool (N,).
+
+    Two points that meet in a pixel of one camera lay at least a pixel apart in the other's: the nearer one moved that
+    much farther. Less is a slanted surface's own neighbourhood.
+
+    Args:
+        places_px: (column, row), (N, 2).
+        parallax_px: How far each point moves because of its distance, (N,).
+        size: Height and width.
+    """
+    height, width = size
+    column, row = np.rint(places_px.clip(-1, max(size))).astype(np.int64).T
+    seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    pixel, parallax_px = (row * width + column)[seen], parallax_px[seen]
+    nearest = np.zeros(height * width)
+    np.maximum.at(nearest, pixel, parallax_px)
+    seen[seen] = nearest[pixel] - parallax_px <= 1
+    return seen

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from depthreg.data.sample import FrameBatch, Measurement
-from depthreg.geometry import flip_affine, flip_intrinsics
-from depthreg.rendering import Rig
+from depthreg.geometry import compose_affines, flip_affine, flip_intrinsics, identity_affine
+from depthreg.rendering import RandomOffset, Rig
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, random_affines
 
 
@@ -29,19 +29,32 @@ class SensorSimulator:
     Args:
         depth_sensor: What becomes of the depth.
         max_corner_shift_px: Largest shift of an image corner at difficulty 1, for an image 1242 pixels wide; it scales
-            with the width. 0 leaves the colour aligned.
+            with the width. 0 puts no affine on the colour.
+        offset: A colour camera that stands beside the depth camera, so that its view shows parallax and occlusions;
+            the affine then moves that view.
+        offset_share: Share of samples that take this view at difficulty 1, in [0, 1]; the others are off by an affine.
     """
 
-    def __init__(self, depth_sensor: DepthSensor, max_corner_shift_px: float = 24.0) -> None:
-        if max_corner_shift_px < 0:
-            raise ValueError(f"max_corner_shift_px must not be negative, got {max_corner_shift_px}")
+    def __init__(
+        self,
+        depth_sensor: DepthSensor,
+        max_corner_shift_px: float = 24.0,
+        offset: RandomOffset | None = None,
+        offset_share: float = 0.5,
+    ) -> None:
+        if max_corner_shift_px < 0 or not 0 <= offset_share <= 1:
+            raise ValueError(
+                "expected max_corner_shift_px of at least 0 and offset_share from 0 to 1, "
+                f"got {max_corner_shift_px} and {offset_share}"
+            )
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
+        self.offset, self.offset_share = offset, offset_share
 
     @property
     def rig(self) -> Rig:
         """What has to be rendered for it."""
-        return self.depth_sensor.rig
+        return self.depth_sensor.rig | Rig(offset=self.offset)
 
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Measurement:
         """Simulate one measurement per frame; the generator lives on the CPU, whatever the frames' device."""
@@ -50,18 +63,36 @@ class SensorSimulator:
         truth_m = frames["depth_m"]
         batch, _, height, width = truth_m.shape
         margin_px = (frames["rgb"].shape[-1] - width) // 2
-        rgb_with_margin = frames["rgb"].float() / 255
+        inner = np.s_[..., margin_px : margin_px + height, margin_px : margin_px + width]
         shift_px = difficulty * self.max_corner_shift_px * width / REFERENCE_WIDTH_PX
         affine = random_affines(batch, (height, width), shift_px, generator).to(truth_m.device)
-        truth_rgb = rgb_with_margin[..., margin_px : margin_px + height, margin_px : margin_px + width]
+        view, view_from_depth, parallax_px = self._view(frames, difficulty, generator)
+        view = view.float() / 255
         return Measurement(
-            rgb=misalign_rgb(rgb_with_margin, affine, margin_px) if shift_px else truth_rgb,
+            rgb=misalign_rgb(view, affine, margin_px) if shift_px else view[inner],
             depth_m=self.depth_sensor(frames, difficulty, generator),
             intrinsics=frames["intrinsics"],
             truth_depth_m=truth_m,
-            truth_rgb=truth_rgb,
-            truth_affine_rgb_from_depth=affine,
-            truth_parallax_px=torch.zeros(batch, device=truth_m.device),
+            truth_rgb=frames["rgb"][inner].float() / 255,
+            truth_affine_rgb_from_depth=compose_affines(affine, view_from_depth),
+            truth_parallax_px=parallax_px,
+        )
+
+    def _view(
+        self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """The colour with its margin, from either camera; the affine from the depth into it, and its parallax."""
+        rgb = frames["rgb"]
+        affine = identity_affine(len(rgb), device=rgb.device)
+        parallax_px = torch.zeros(len(rgb), device=rgb.device)
+        share = difficulty * self.offset_share
+        if "offset_rgb" not in frames or not share:
+            return rgb, affine, parallax_px
+        offset = (torch.rand(len(rgb), generator=generator) < share).to(rgb.device)
+        return (
+            torch.where(offset[:, None, None, None], frames["offset_rgb"], rgb),
+            torch.where(offset[:, None, None], frames["offset_affine_rgb_from_depth"], affine),
+            torch.where(offset, frames["offset_parallax_px"], parallax_px),
         )
 
 

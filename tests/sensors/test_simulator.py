@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 
+import cv2
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from depthreg.data.sample import FrameBatch
 from depthreg.geometry import identity_affine, warp_affine
+from depthreg.rendering import RandomOffset
 from depthreg.sensors import Clean, Holes, Lidar, SensorSimulator, Stereo
 from depthreg.sensors.simulator import DepthSensor, augment, seeded_generator, simulate_each
 
@@ -18,6 +21,25 @@ MAX_SHIFT_PX = 80.0  # for 1242 px of width, so about 6 px here
 
 def generator(seed: int = 0) -> torch.Generator:
     return torch.Generator().manual_seed(seed)
+
+
+def with_offset_view(frames: FrameBatch, margin_px: int = 9) -> FrameBatch:
+    """Frames of fine texture with a second colour camera, whose view OpenCV draws."""
+    noise = np.random.default_rng(0).random((*frames["rgb"].shape[2:], 3 * len(frames["rgb"])), np.float32)
+    texture = (127.5 + 800 * (cv2.GaussianBlur(noise, (0, 0), 2.5) - 0.5)).clip(0, 255)
+    rgb = torch.from_numpy(texture).round().to(torch.uint8).permute(2, 0, 1).unflatten(0, (-1, 3))
+    affine = np.array([[0.86, -0.07, 8.0], [0.09, 1.12, -7.0]])
+    wide = affine.copy()  # of the images with their margins
+    wide[:, 2] += margin_px - margin_px * affine[:, :2].sum(axis=1)
+    size = (frames["rgb"].shape[3], frames["rgb"].shape[2])
+    views = [cv2.warpAffine(image.permute(1, 2, 0).numpy(), wide, size, borderMode=cv2.BORDER_REFLECT) for image in rgb]
+    batch = len(views)
+    return FrameBatch(
+        **{**frames, "rgb": rgb},
+        offset_rgb=torch.from_numpy(np.stack(views)).permute(0, 3, 1, 2),
+        offset_affine_rgb_from_depth=torch.from_numpy(affine).float().repeat(batch, 1, 1),
+        offset_parallax_px=0.5 + torch.arange(batch),
+    )
 
 
 def density(depth_m: Tensor) -> float:
@@ -72,6 +94,43 @@ def test_without_a_shift_the_colour_stays_aligned(make_frames: MakeFrames) -> No
     assert torch.equal(measurement["truth_affine_rgb_from_depth"], identity_affine(2))
 
 
+@pytest.mark.parametrize(("difficulty", "max_shift_px"), [(1.0, 0.0), (1.0, MAX_SHIFT_PX), (0.5, MAX_SHIFT_PX)])
+def test_the_true_affine_holds_for_either_colour_camera(
+    difficulty: float, max_shift_px: float, make_frames: MakeFrames
+) -> None:
+    frames = with_offset_view(make_frames(batch=40))
+    measurement = SensorSimulator(Clean(), max_shift_px, offset_share=0.6)(frames, difficulty, generator())
+    aligned, seen = warp_affine(measurement["rgb"], measurement["truth_affine_rgb_from_depth"])
+    error = ((aligned - measurement["truth_rgb"]).abs() * seen).amax(dim=(1, 2, 3))
+    assert error.max() < 0.035  # two bilinear interpolations of fine texture
+    offset = measurement["truth_parallax_px"] > 0
+    assert torch.equal(measurement["truth_parallax_px"][offset], frames["offset_parallax_px"][offset])
+    assert offset.float().mean().item() == pytest.approx(0.6 * difficulty, abs=0.15)
+    truth = frames["rgb"][..., 9:-9, 9:-9].float() / 255
+    assert torch.equal(measurement["truth_rgb"], truth)
+
+
+def test_with_an_offset_camera_difficulty_zero_is_the_identity(make_frames: MakeFrames) -> None:
+    frames = with_offset_view(make_frames())
+    measurement = SensorSimulator(Clean(), MAX_SHIFT_PX, offset_share=1.0)(frames, 0.0, generator())
+    assert torch.equal(measurement["rgb"], measurement["truth_rgb"])
+    assert torch.equal(measurement["truth_affine_rgb_from_depth"], identity_affine(2))
+    assert (measurement["truth_parallax_px"] == 0).all()
+
+
+def test_an_offset_camera_joins_what_the_depth_sensor_needs() -> None:
+    offset = RandomOffset(0.05, 0.5)
+    rig = SensorSimulator(Lidar(), offset=offset).rig
+    assert rig.offset == offset and rig.scans == Lidar().rig.scans
+    assert SensorSimulator(Lidar()).rig == Lidar().rig
+
+
+@pytest.mark.parametrize(("max_shift_px", "share"), [(-1.0, 0.5), (24.0, -0.1), (24.0, 1.1)])
+def test_a_simulator_that_cannot_be_meant_is_refused(max_shift_px: float, share: float) -> None:
+    with pytest.raises(ValueError, match=f"got {max_shift_px} and {share}"):
+        SensorSimulator(Clean(), max_shift_px, offset_share=share)
+
+
 @pytest.mark.parametrize("difficulty", [-0.1, 1.01, float("nan")])
 def test_a_difficulty_that_cannot_be_is_refused(difficulty: float, make_frames: MakeFrames) -> None:
     with pytest.raises(ValueError, match="difficulty must be in"):
@@ -92,7 +151,7 @@ def test_the_seed_decides_and_frames_are_left_as_they_were(sensor: DepthSensor, 
 def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
     sensor: DepthSensor, make_frames: MakeFrames
 ) -> None:
-    frames = make_frames(batch=3)
+    frames = with_offset_view(make_frames(batch=3))
     simulator = SensorSimulator(sensor, MAX_SHIFT_PX)
     together = simulate_each(simulator, frames, 0.8, seed=4)
     order = torch.tensor([2, 0])
