@@ -1,0 +1,1 @@
+"""How alike simulated and real measurements are: frames, statistics, distances, a classifier and pictures."""
