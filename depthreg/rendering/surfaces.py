@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
+from depthreg.rendering.embree import RayTree
 from depthreg.worlds.scene import Light, Material, Scene
 from depthreg.worlds.textures import LEVEL_START, PATTERNS, TEXELS, TILE, texture_start
 
@@ -57,7 +56,7 @@ class Surfaces:
         paint: Colour, difference to the second colour, gloss of each object, (7, O) float32.
     """
 
-    tree: EmbreeScene
+    tree: RayTree
     origin_m: np.ndarray
     normal: np.ndarray
     object_id: np.ndarray
@@ -73,11 +72,10 @@ class Surfaces:
             origin: Where all rays start, (3,), relative to `origin_m`.
             rays: Unit directions in world axes, (N, 3) float32.
         """
-        origin = origin.astype(np.float32)
-        found = self.tree.run(np.broadcast_to(origin, rays.shape), rays, output=True)
-        ray = np.flatnonzero(found["primID"] >= 0)
-        face, range_m = found["primID"].take(ray), found["tfar"].take(ray)
-        direction = np.ascontiguousarray(rays.take(ray, axis=0).T)
+        origin, rays = origin.astype(np.float32), np.ascontiguousarray(rays.T)
+        faces, ranges_m = self.tree.first_hits(origin, rays)
+        ray = np.flatnonzero(faces >= 0)
+        face, range_m, direction = faces.take(ray), ranges_m.take(ray), rays.take(ray, axis=1)
         normal = self.normal.take(face, axis=1)
         cos = np.einsum("kn,kn->n", normal, direction)
         normal *= -np.sign(cos)
@@ -101,8 +99,7 @@ class Surfaces:
             towards, strength = to_lamp / reach_m, (_LAMP_AT_M / reach_m) ** 2
         arriving = strength * np.einsum("kn,kn->n", hits.normal, towards).clip(0)
         facing = np.flatnonzero(arriving > 0)
-        start, towards = start.take(facing, axis=1).T, towards.take(facing, axis=1).T
-        shaded = self.tree.run(start, towards, reach_m.take(facing), query="OCCLUDED") >= 0
+        shaded = self.tree.blocked(start.take(facing, axis=1), towards.take(facing, axis=1), reach_m.take(facing))
         arriving[facing[shaded]] = 0
         return arriving
 
@@ -171,14 +168,11 @@ def merge(scene: Scene, origin_m: np.ndarray) -> Surfaces:
     a, b, c = points[corners.T]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-12)
-    tree = EmbreeScene()
-    TriangleMesh(scene=tree, vertices=points, indices=corners)
-
     materials = [o.material for o in scene.objects]
     paint = np.array([(*m.color, *m.second_color, m.gloss) for m in materials], dtype=np.float32).T
     paint[3:6] -= paint[:3]
     return Surfaces(
-        tree=tree,
+        tree=RayTree(points, corners),
         origin_m=origin_m,
         normal=np.ascontiguousarray(normal.T),
         object_id=object_id,
