@@ -154,6 +154,36 @@ def test_stripes_are_lost_or_mistaken_for_others() -> None:
     assert found_share(match(wall(10.0), StereoMatcher())) > 0.9
 
 
+def box_before_a_wall(*, blank: bool = False) -> Frame:
+    """A textured box at columns 150 to 209, 22 px of disparity, before a wall, 6 px."""
+    box_px, frame, rows = 22, wall(6.0, blank=blank), slice(15, 60)
+    left, right, depth_m = frame.rgb.copy(), frame.rgb_right.copy(), frame.depth_m.copy()
+    left[rows, 150:210] = right[rows, 150 - box_px : 210 - box_px] = np.repeat(
+        texture()[rows, 250:310, None], 3, axis=2
+    )
+    depth_m[rows, 150:210] = FOCAL_PX * BASELINE_M / box_px
+    return replace(frame, rgb=left, rgb_right=right, depth_m=depth_m)
+
+
+def test_nothing_is_found_where_the_right_camera_sees_the_box() -> None:
+    checked = SemiGlobal(uniqueness_percent=0, speckle_px=0)  # nothing but the left-right check refuses an answer
+    found_px = match(box_before_a_wall(), StereoMatcher(PERFECT, checked))[20:55]
+    hidden = found_px[:, 150 - 16 + 4 : 150 - 4]
+    assert (hidden == 0).mean() > 0.5 and (np.abs(hidden - 6) < 1).mean() < 0.1
+    assert (np.abs(found_px[:, 155:205] - 22) < 1).mean() > 0.9 < (np.abs(found_px[:, 225:300] - 6) < 1).mean()
+
+
+def test_the_foreground_grows_over_its_edges_onto_what_has_no_texture() -> None:
+    found_px = match(box_before_a_wall(blank=True), StereoMatcher())[20:55]
+    assert (np.abs(found_px[:, 210:212] - 22) < 1).mean() > 0.5
+
+
+def test_no_dots_fall_into_a_shadow() -> None:
+    frame = box_before_a_wall()
+    dots = Projector(dot_size=1.0).dots(frame, frame.depth_m, BASELINE_M, np.zeros(2))[20:55]
+    assert not dots[:, 150 - 15 : 150 - 1].any() and (dots[:, 100:130] > 0).all()
+
+
 def test_depth_noise_grows_with_the_square_of_the_depth() -> None:
     cameras = CameraPair(shot_noise=1e-3, exposure_spread=0, rectification_px=0, blur_px=0)
     spreads_m = []
@@ -187,6 +217,18 @@ def test_noise_is_the_light_that_it_is_made_of() -> None:
         assert abs(np.corrcoef(measured[0].ravel(), measured[1].ravel())[0, 1]) < 0.02
 
 
+def test_only_the_right_camera_is_misaligned_and_either_may_be_blurred() -> None:
+    light = texture().astype(np.float32) / 255
+    for cameras, changed in (
+        (CameraPair(0, 0, 0, 0, 1.0, 0), [False, True]),
+        (CameraPair(0, 0, 0, 3, 0, 0), [True] * 2),
+    ):
+        images, sharp = cameras(light, light, np.random.default_rng(2)), PERFECT(light, light, np.random.default_rng(2))
+        assert [not np.array_equal(*pair) for pair in zip(images, sharp, strict=True)] == changed
+    contrasts = [np.diff(image.astype(float), axis=1).std() for image in (images[0], sharp[0])]
+    assert contrasts[0] < 0.8 * contrasts[1]
+
+
 def test_reflections_lie_behind_the_mirror_at_a_smaller_disparity() -> None:
     left, right = reflections(wall(20.0, gloss=1.0), 1.0, np.random.default_rng(3))
     middle = slice(30, 130)
@@ -211,6 +253,18 @@ def test_dots_fade_with_the_squared_distance() -> None:
     assert peaks[0] / peaks[1] == pytest.approx(4, rel=0.1)
 
 
+def test_exposure_is_set_by_the_light_until_it_is_too_dark() -> None:
+    sky = replace(wall(12.0), depth_m=np.zeros(SIZE, np.float32), depth_right_m=np.zeros(SIZE, np.float32))
+    light = texture().astype(np.float32) / 255
+    for ambient, level in ((5.0, 0.4), (0.01, 0.4 / 2)):
+        left, right = Projector(ambient=(ambient, ambient), darkest=0.02)(sky, light, light, np.random.default_rng(0))
+        np.testing.assert_allclose(left, right)
+        np.testing.assert_allclose(left / left.mean(), light / light.mean(), rtol=1e-5)  # no dots in the sky
+        assert np.quantile(left, 0.9) == pytest.approx(
+            level * (np.quantile(light, 0.9) / light.mean() if ambient < 1 else 1), rel=0.05
+        )
+
+
 def test_the_pattern_repeats_without_a_seam() -> None:
     tile = dot_tile(0.2)
     assert tile.min() >= 0 and 0.9 < tile.max() <= 1
@@ -226,6 +280,12 @@ def test_a_shadow_is_as_wide_as_the_parallax_and_lies_away_from_the_projector(si
     dark = np.flatnonzero(~lit(depth_m, shift_px)[2])
     assert len(dark) == pytest.approx(16 - 4, abs=1)
     assert dark.max() < 50 if side > 0 else dark.min() >= 70
+
+
+def test_no_light_leaks_through_a_slanted_wall() -> None:
+    shift_px = np.full((3, 120), 4.0, np.float32)
+    shift_px[:, 50:70] = np.linspace(36, 17, 20)  # the projector sees it twice as long as the camera does
+    assert not lit(40 / shift_px, shift_px)[:, 20:50].any()
 
 
 def test_nothing_is_lit_in_the_sky_and_all_of_a_slanted_wall_is() -> None:
@@ -269,6 +329,15 @@ def test_disparity_errors_are_scaled_and_holes_grow_patch_by_patch(make_frames: 
     assert 0.2 < torn.sum() / (~answered).sum() < 0.8
 
 
+def test_what_is_found_in_the_sky_comes_nearer_from_infinity(make_frames: MakeFrames) -> None:
+    frames = make_frames()
+    sky = FrameBatch(**{**frames, "depth_m": torch.zeros_like(frames["depth_m"])})
+    for difficulty in (0.1, 0.5, 1.0):
+        depth_m, found_m = Stereo(max_range_m=25.0)(sky, difficulty), 43.2 / (difficulty * frames["disparity_px"])
+        expected_m = torch.where((found_m <= 25) & (43.2 / frames["disparity_px"] <= 25), found_m, 0)
+        torch.testing.assert_close(depth_m, expected_m)
+
+
 def test_frames_without_a_pair_are_refused(make_frames: MakeFrames) -> None:
     frames = make_frames()
     del frames["disparity_px"]
@@ -304,6 +373,6 @@ def test_a_configured_sensor_measures_rendered_rooms(name: str) -> None:
     measured = SensorSimulator(sensor)(batch, 1.0, torch.Generator().manual_seed(0))
     depth_m, truth_m = measured["depth_m"], measured["truth_depth_m"]
     seen = (depth_m > 0) & (truth_m > 0)
-    assert depth_m.shape == (2, 1, 119, 161) and 0.3 < seen.float().mean() < 0.95
+    assert depth_m.shape == (2, 1, 119, 161) and 0.3 < seen.float().mean() < 0.99
     error_px = (1 / depth_m[seen] - 1 / truth_m[seen]) * 135 * 0.075
     assert error_px.abs().median() < 0.5
