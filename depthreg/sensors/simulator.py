@@ -9,6 +9,7 @@ from torch import Tensor
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.geometry import compose_affines, flip_affine, flip_intrinsics, identity_affine
 from depthreg.rendering import RandomOffset, Rig
+from depthreg.sensors.color import ColorCamera
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, random_affines
 
 
@@ -33,6 +34,8 @@ class SensorSimulator:
         offset: A colour camera that stands beside the depth camera, so that its view shows parallax and occlusions;
             the affine then moves that view.
         offset_share: Share of samples that take this view at difficulty 1, in [0, 1]; the others are off by an affine.
+        color: What becomes of the colour; None leaves it perfect. The truth stays clean: blur, noise and blocks belong
+            to the camera's own pixels and to nothing on the depth's grid.
     """
 
     def __init__(
@@ -41,6 +44,7 @@ class SensorSimulator:
         max_corner_shift_px: float = 24.0,
         offset: RandomOffset | None = None,
         offset_share: float = 0.5,
+        color: ColorCamera | None = None,
     ) -> None:
         if max_corner_shift_px < 0 or not 0 <= offset_share <= 1:
             raise ValueError(
@@ -49,7 +53,7 @@ class SensorSimulator:
             )
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
-        self.offset, self.offset_share = offset, offset_share
+        self.offset, self.offset_share, self.color = offset, offset_share, color
 
     @property
     def rig(self) -> Rig:
@@ -68,7 +72,7 @@ class SensorSimulator:
         affine = random_affines(batch, (height, width), shift_px, generator).to(truth_m.device)
         view, view_from_depth, parallax_px = self._view(frames, difficulty, generator)
         view = view.float() / 255
-        return Measurement(
+        measurement = Measurement(
             rgb=misalign_rgb(view, affine, margin_px) if shift_px else view[inner],
             depth_m=self.depth_sensor(frames, difficulty, generator),
             intrinsics=frames["intrinsics"],
@@ -77,6 +81,9 @@ class SensorSimulator:
             truth_affine_rgb_from_depth=compose_affines(affine, view_from_depth),
             truth_parallax_px=parallax_px,
         )
+        if self.color:
+            measurement["rgb"] = self.color(measurement, difficulty, generator)
+        return measurement
 
     def _view(
         self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None
