@@ -58,7 +58,9 @@ def test_stored_returns_are_the_frames_returns(gallery: list[Path], frame: Frame
 def test_the_nearest_return_of_a_pixel_wins() -> None:
     one = np.ones(3, np.float32)
     uv = np.array([[2.2, 1.0], [1.8, 1.4], [0.0, 0.0]], np.float32)
-    returns = LidarReturns(uv, np.array([9, 4, 7], np.float32), *[one] * 6, np.zeros(3, np.int16))
+    returns = LidarReturns(
+        uv, np.array([9, 4, 7], np.float32), *[one] * 6, np.zeros(3, np.int16), *[one] * 3, np.zeros((3, 3))
+    )
     image = np.zeros((3, 5), np.float32)
     planes = dict.fromkeys(("rgb", "object_id", "normal", "albedo", "gloss", "rgb_right", "depth_right_m"), image)
     frame = Frame(**planes, depth_m=image, margin_px=0, intrinsics=np.eye(3), baseline_m=0.5, lidar=returns)

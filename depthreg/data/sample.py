@@ -29,6 +29,10 @@ class LidarReturns:
     far_range_m: np.ndarray  # (N,) float32, where the rest of a beam lands that an edge splits; else = range_m
     near_share: np.ndarray  # (N,) float32 in (0, 1], share of the beam's light that lands at range_m
     ring: np.ndarray  # (N,) int16, laser number, 0 = the highest beam
+    far_cos_incidence: np.ndarray  # (N,) float32, of what lies at far_range_m
+    far_albedo: np.ndarray  # (N,) float32; 0 where the rest of the beam goes into the sky
+    far_gloss: np.ndarray  # (N,) float32
+    ray: np.ndarray  # (N, 3) float32, unit, camera axes: a return at another range moves along it
 
 
 class LidarColumns(NamedTuple):
@@ -44,6 +48,12 @@ class LidarColumns(NamedTuple):
     far_range_m: Tensor
     near_share: Tensor
     ring: Tensor
+    far_cos_incidence: Tensor
+    far_albedo: Tensor
+    far_gloss: Tensor
+    ray_x: Tensor
+    ray_y: Tensor
+    ray_z: Tensor
 
 
 @dataclass(frozen=True)
@@ -79,7 +89,7 @@ class FrameBatch(TypedDict):
     rgb: Tensor  # (B, 3, H + 2M, W + 2M) uint8
     depth_m: Tensor  # (B, 1, H, W)
     intrinsics: Tensor  # (B, 3, 3)
-    lidar: Tensor  # (B, N, 10): `LidarColumns`; padded with zeros (range 0)
+    lidar: Tensor  # (B, N, 16): `LidarColumns`; padded with zeros (range 0)
     baseline_m: Tensor  # (B,), from the left to the right camera (or to the projector)
     index: Tensor  # (B,) int64, the sample's number in its data set
     normal: NotRequired[Tensor]  # (B, 3, H, W), unit, camera coordinates; 0 in the sky

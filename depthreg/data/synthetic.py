@@ -95,7 +95,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         return self.renderer(
             self.world(self.seed, index),
             camera,
-            rig.scans[rng.integers(len(rig.scans))] if rig.scans else None,
+            rig.scans[rng.integers(len(rig.scans))].started(rng) if rig.scans else None,
             right=bool(rig.matchers),
             rgb_from_depth=rig.offset(rng) if rig.offset else None,
         )
@@ -132,8 +132,8 @@ def pack(frame: Frame, rig: Rig, rng: np.random.Generator, max_depth_m: float) -
     item: dict[str, Any] = {"rgb": frame.rgb, "intrinsics": frame.intrinsics}
     item["depth_m"] = np.where(frame.depth_m > max_depth_m, 0, frame.depth_m)
     item["baseline_m"] = np.float32(frame.baseline_m)
-    columns = (getattr(lidar, name) for name in LidarColumns._fields[2:])
-    item["lidar"] = np.column_stack([lidar.uv_px, *columns]).astype(np.float32)
+    columns = (getattr(lidar, name) for name in LidarColumns._fields[2:-3])
+    item["lidar"] = np.column_stack([lidar.uv_px, *columns, lidar.ray]).astype(np.float32)
     if rig.surfaces:
         item |= {"normal": frame.normal, "albedo": frame.albedo, "gloss": frame.gloss}
     if rig.matchers:

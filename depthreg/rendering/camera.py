@@ -1,4 +1,4 @@
-"""Where the rays of a camera and of a rotating LiDAR go."""
+"""Where the rays of a camera go."""
 
 from dataclasses import dataclass
 
@@ -53,52 +53,3 @@ class Camera:
         rays[..., 0] = x
         rays[..., 1] = y[:, None]
         return rays
-
-
-@dataclass(frozen=True)
-class ScanPattern:
-    """The beams of a rotating LiDAR.
-
-    Attributes:
-        elevations_deg: Angle of each laser above the horizon; ring 0 is the highest.
-        azimuth_step_deg: Angle between two firings of the same laser.
-        max_range_m: Farthest return.
-    """
-
-    elevations_deg: tuple[float, ...]
-    azimuth_step_deg: float
-    max_range_m: float = 120.0
-
-    @classmethod
-    def hdl64(cls) -> "ScanPattern":
-        """Velodyne HDL-64E at 10 Hz: 32 lasers over +1.97..-8.5 deg, 32 over -8.9..-24.9 deg."""
-        elevations = (*np.linspace(1.97, -8.5, 32), *np.linspace(-8.9, -24.9, 32))
-        return cls(tuple(float(e) for e in elevations), azimuth_step_deg=0.1728)
-
-    def rays(self, min_azimuth_deg: float, max_azimuth_deg: float) -> tuple[np.ndarray, np.ndarray]:
-        """Unit directions of all firings between two azimuths (0 = forward, positive = left).
-
-        Firings lie at whole multiples of the step, whatever the limits.
-
-        Returns:
-            Directions (N, 3) float32 in LiDAR coordinates (x forward, y left, z up) and ring numbers (N,) int16.
-        """
-        first = np.ceil(min_azimuth_deg / self.azimuth_step_deg)
-        steps = np.arange(first, np.floor(max_azimuth_deg / self.azimuth_step_deg) + 1)
-        azimuth = np.deg2rad(steps * self.azimuth_step_deg)
-        elevation = np.deg2rad(np.asarray(self.elevations_deg))[:, None]
-        shape = (len(elevation), len(azimuth))
-        rays = np.empty((*shape, 3), dtype=np.float32)
-        rays[..., 0] = np.cos(elevation) * np.cos(azimuth)
-        rays[..., 1] = np.cos(elevation) * np.sin(azimuth)
-        rays[..., 2] = np.sin(elevation)
-        ring = np.repeat(np.arange(len(elevation), dtype=np.int16), len(azimuth))
-        return rays.reshape(-1, 3), ring
-
-
-def hdl64() -> ScanPattern:
-    """Velodyne HDL-64E at 10 Hz: the scanner of KITTI."""
-    return ScanPattern.hdl64()
-
-
-SCANNERS: dict[str, ScanPattern] = {"hdl64": hdl64()}  # by the names that configurations use

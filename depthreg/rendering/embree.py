@@ -122,10 +122,10 @@ class RayTree:
             raise RuntimeError(f"Embree could not build a tree over {len(corners)} faces: its error {error}")
 
     def first_hits(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What rays from one point meet first; quick where neighbours in the list point about the same way.
+        """What rays meet first; quick where neighbours in the list start and point about the same way.
 
         Args:
-            origin: Where all rays start, (3,).
+            origin: Where all rays start, (3,), or each of them, (3, N).
             directions: (3, N) float32.
 
         Returns:
@@ -133,7 +133,10 @@ class RayTree:
         """
         count = directions.shape[1]
         packets = self._packets(directions, np.inf, _HIT_ROWS)
-        packets[:, _ORIGIN] = np.asarray(origin, np.float32)[:, None]
+        if origin.ndim == 1:
+            packets[:, _ORIGIN] = origin[:, None]
+        else:
+            self._fill(packets[:, _ORIGIN], origin)
         numbers = packets.view(np.int32)
         numbers[:, _FACE] = numbers[:, _GEOMETRY] = -1
         self._trace("Intersect", packets)

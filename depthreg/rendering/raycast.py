@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from depthreg.data.sample import Frame, OffsetView
-from depthreg.rendering.camera import Camera, ScanPattern
+from depthreg.rendering.camera import Camera
 from depthreg.rendering.scan import no_returns, scan_scene
+from depthreg.rendering.scanners import ScanPattern
 from depthreg.rendering.shading import develop, shade, sky
 from depthreg.rendering.surfaces import Surfaces, merge
 from depthreg.worlds.scene import Light, Scene

@@ -6,8 +6,9 @@ from typing import Protocol
 import numpy as np
 
 from depthreg.data.sample import Frame
-from depthreg.rendering.camera import Camera, ScanPattern
+from depthreg.rendering.camera import Camera
 from depthreg.rendering.raycast import render_frame
+from depthreg.rendering.scanners import ScanPattern
 from depthreg.worlds.scene import Scene
 
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from depthreg.data.sample import Frame
 from depthreg.errors import InputError
-from depthreg.rendering.camera import ScanPattern
+from depthreg.rendering.scanners import ScanPattern
 
 
 class PairMatcher(Protocol):

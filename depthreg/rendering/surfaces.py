@@ -69,17 +69,18 @@ class Surfaces:
         """First hits of rays.
 
         Args:
-            origin: Where all rays start, (3,), relative to `origin_m`.
+            origin: Where all rays start, (3,), or each of them, (N, 3), relative to `origin_m`.
             rays: Unit directions in world axes, (N, 3) float32.
         """
-        origin, rays = origin.astype(np.float32), np.ascontiguousarray(rays.T)
+        origin, rays = origin.astype(np.float32).T, np.ascontiguousarray(rays.T)
         faces, ranges_m = self.tree.first_hits(origin, rays)
         ray = np.flatnonzero(faces >= 0)
         face, range_m, direction = faces.take(ray), ranges_m.take(ray), rays.take(ray, axis=1)
         normal = self.normal.take(face, axis=1)
         cos = np.einsum("kn,kn->n", normal, direction)
         normal *= -np.sign(cos)
-        point = origin[:, None] + range_m * direction
+        start = origin[:, None] if origin.ndim == 1 else origin.take(ray, axis=1)
+        point = start + range_m * direction
         return Hits(ray, face, range_m, direction, point, normal, np.abs(cos).clip(max=1))
 
     def sunlight(self, hits: Hits, light: Light) -> np.ndarray:

@@ -82,9 +82,10 @@ class DrivingWorld:
         right = (lane + 0.5) * style.lane_m + rng.normal(0, 0.2)
         x, y, z = street.stand(0.0, right, self.camera_up_m + rng.normal(0, 0.04))[0]
         yaw, pitch, roll = rng.normal(0, [1.5, 0.7, 0.4])
-        return Scene(
-            objects, _weather(rng), poses.camera_from_world((x, y, z), yaw, pitch, roll), poses.lidar_from_camera()
-        )
+        pose, light = poses.camera_from_world((x, y, z), yaw, pitch, roll), _weather(rng)
+        speed_m_per_s = rng.uniform(0, min(style.traffic_gap_m / 2, 30))  # drivers keep two seconds' distance
+        velocity = tuple((speed_m_per_s * pose[2, :3]).tolist())  # along the optical axis
+        return Scene(objects, light, pose, poses.lidar_from_camera(), velocity_m_per_s=velocity)
 
 
 def _weather(rng: np.random.Generator) -> Light:

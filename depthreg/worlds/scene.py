@@ -59,4 +59,5 @@ class Scene:
     # (4, 4) rigid; LiDAR coordinates: x forward, y left, z up
     lidar_from_camera: np.ndarray = field(default_factory=lambda: np.eye(4))
     baseline_m: float = 0.54  # of a stereo pair (or from camera to projector) that suits the place: KITTI's
+    velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the camera and the LiDAR, world axes
     depth_bin_m: float | None = None  # where set, depth is reported at the centres of bins of this depth (stage 1)

@@ -47,7 +47,7 @@ def test_items_follow_the_contract(items: list[dict[str, Any]]) -> None:
         assert item["rgb"].shape == (65 + 2 * margin_px, 79 + 2 * margin_px, 3) and item["rgb"].dtype == np.uint8
         assert item["depth_m"].shape == (65, 79) and item["depth_m"].dtype == np.float32
         assert item["depth_m"].min() >= 0 and 5 < item["depth_m"].max() <= 80
-        assert item["lidar"].shape[1] == 10 and item["lidar"].dtype == np.float32
+        assert item["lidar"].shape[1] == 16 and item["lidar"].dtype == np.float32
         focal_px = item["intrinsics"][0, 0]
         assert 50 <= focal_px <= 90 and abs(item["intrinsics"][0, 2] - 39) <= 0.05 * 79
 
@@ -111,7 +111,7 @@ def test_collating_pads_returns_with_nothing(items: list[dict[str, Any]]) -> Non
     short = {**items[1], "lidar": items[1]["lidar"][:5]}
     batch = collate_frames([items[0], short])
     longest = len(items[0]["lidar"])
-    assert batch["lidar"].shape == (2, longest, 10) and longest > 5
+    assert batch["lidar"].shape == (2, longest, 16) and longest > 5
     np.testing.assert_array_equal(batch["lidar"][1, :5], short["lidar"])
     assert (batch["lidar"][1, 5:] == 0).all()
     np.testing.assert_array_equal(batch["rgb"][0].permute(1, 2, 0), items[0]["rgb"])

@@ -28,10 +28,15 @@ def make_frames() -> MakeFrames:
         at_m = depth_m[:, 0, rows, columns].flatten(1)
         columns, rows = columns.flatten().expand_as(at_m), rows.flatten().expand_as(at_m)
         ring = (rows * 64 // height).float()
-        one, range_m = torch.ones_like(at_m), 1.1 * at_m
-        lidar = LidarColumns(columns, rows, at_m, range_m, one, 0.5 * one, 0 * one, range_m, one, ring)
         column, row = torch.meshgrid(torch.arange(width), torch.arange(height), indexing="xy")
         matched_px = 80 * 0.54 / depth_m * (1 + 0.05 * torch.sin(0.9 * column + row))
+        one = torch.ones_like(at_m)
+        ray = torch.stack([(columns - 44) / 80, (rows - 31) / 80, one], dim=-1)
+        range_m = at_m * ray.norm(dim=-1)
+        lidar = LidarColumns(
+            columns, rows, at_m, range_m, one, 0.5 * one, 0 * one, range_m, one, ring, one, 0.5 * one, 0 * one,
+            *(ray / ray.norm(dim=-1, keepdim=True)).unbind(-1),
+        )  # fmt: skip
         return FrameBatch(
             rgb=rgb,
             depth_m=depth_m,

@@ -18,9 +18,11 @@ def returns_at(range_m: float, count: int) -> FrameBatch:
     column = torch.arange(count, dtype=torch.float32)
     constant = torch.ones(count)
     at_m = range_m * constant
+    none = 0 * constant
     lidar = LidarColumns(
-        column, 0 * constant, 0.8 * at_m, at_m, constant, constant, 0 * constant, at_m, constant, column % 64
-    )
+        column, none, 0.8 * at_m, at_m, constant, constant, none, at_m, constant, column % 64,
+        constant, constant, none, none, 0.6 * constant, 0.8 * constant,
+    )  # fmt: skip
     return FrameBatch(
         rgb=torch.zeros(1, 3, 1, count, dtype=torch.uint8),
         depth_m=torch.zeros(1, 1, 1, count),
@@ -88,7 +90,7 @@ def test_fewer_lines_are_kept_as_it_gets_harder() -> None:
 
 def test_padding_is_no_return() -> None:
     frames = returns_at(9.0, 64)
-    frames["lidar"] = torch.cat([frames["lidar"], torch.zeros(1, 30, 10)], dim=1)
+    frames["lidar"] = torch.cat([frames["lidar"], torch.zeros(1, 30, 16)], dim=1)
     frames["lidar"][0, 0, 2:4] = 0  # nothing but padding is left at pixel (0, 0)
     sensor = Lidar(min_lines=64, drop_share=0.0, absorption_per_m=0.0)
     assert sensor(frames, 1.0, generator())[0, 0, 0, 0] == 0

@@ -186,7 +186,7 @@ def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
 
 def test_validation_does_not_depend_on_how_far_returns_are_padded(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=2)
-    padding = torch.zeros(2, 100, 10)  # as where a batch holds a frame with more returns
+    padding = torch.zeros(2, 100, 16)  # as where a batch holds a frame with more returns
     padded = FrameBatch(**{**frames, "lidar": torch.cat([frames["lidar"], padding], dim=1)})
     simulator = SensorSimulator(Lidar(), MAX_SHIFT_PX)
     depths_m = [simulate_each(simulator, batch, 0.8, seed=4)["depth_m"] for batch in (frames, padded)]
