@@ -20,6 +20,7 @@ from depthreg.geometry import invert_affine, pixel_grid, sample_at, transform_po
 from depthreg.sensors.rain import draw_streaks, rain_extinction_per_m, random_streaks
 
 _FARTHEST_M = 1000.0  # what has no depth, sky mostly, counts as so far away
+_FOG_LAYER_M = 100.0
 _FASTEST_DROP_M_S = 10.0
 _NIGHT_TINT = (0.6, 0.8, 1.3)  # what is left of daylight after dusk is blue
 
@@ -73,6 +74,20 @@ def haze(linear: Tensor, range_m: Tensor, extinction_per_m: Tensor, airlight: Te
     """
     passed = torch.exp(-extinction_per_m[:, None, None, None] * range_m)
     return passed * linear + (1 - passed) * airlight[:, None, None, None]
+
+
+def overcast(linear: Tensor, extinction_per_m: Tensor, airlight: Tensor) -> Tensor:
+    """Highlights dimmed as where fog lies between the sun and the scene: diffuse light makes nothing brighter than fog.
+
+    Without this, sky that the renderer's exposure has clipped would shine through the edges of leaves.
+
+    Args:
+        linear: (B, 3, H, W) in linear light.
+        extinction_per_m: (B,); what passes a layer of 100 m still makes highlights.
+        airlight: (B,) in linear light.
+    """
+    sunny = torch.exp(-extinction_per_m * _FOG_LAYER_M)
+    return linear.minimum((airlight + sunny * (1 - airlight))[:, None, None, None])
 
 
 def fog_extinction_per_m(visibility_m: float) -> float:
@@ -168,7 +183,8 @@ class Weather:
 
     def _fog(self, linear: Tensor, range_m: Tensor, severity: Tensor, generator: torch.Generator | None) -> Tensor:
         extinction_per_m = severity * fog_extinction_per_m(self.min_visibility_m)
-        return haze(linear, range_m, extinction_per_m, self._airlight(linear, generator))
+        airlight = self._airlight(linear, generator)
+        return haze(overcast(linear, extinction_per_m, airlight), range_m, extinction_per_m, airlight)
 
     def _rain(
         self,
@@ -184,7 +200,8 @@ class Weather:
         streaks = random_streaks(rate_mm_h, intrinsics, size, self.exposure_s, generator)
         points = math.ceil(_FASTEST_DROP_M_S * self.exposure_s * size[1])  # 1 m away, where the view is 1 m wide
         cover = draw_streaks(streaks, slant, size, points)
-        hazy = haze(linear, range_m, rain_extinction_per_m(rate_mm_h), airlight)
+        extinction_per_m = rain_extinction_per_m(rate_mm_h)
+        hazy = haze(overcast(linear, extinction_per_m, airlight), range_m, extinction_per_m, airlight)
         # A drop refracts light from all over the scene, sky included, whatever lies behind it.
         return (1 - cover) * hazy + cover * airlight[:, None, None, None]
 

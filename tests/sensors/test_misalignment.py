@@ -1,6 +1,8 @@
 """Misalignments: how far they reach, what they show, and what they must not give away."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -188,6 +190,25 @@ def test_the_best_affine_brings_an_offset_view_onto_the_depths_grid(index: int) 
     before, after = (np.corrcoef(image[rim].ravel(), truth[rim].ravel())[0, 1] for image in (view, aligned))
     assert after > 0.9 and 1 - after < 0.5 * (1 - before)
     assert 0 < parallax_px < 1
+
+
+def test_the_best_affine_lines_up_the_two_cameras_of_a_real_car(real_data: Path) -> None:
+    folder = real_data / "kitti_odom_04"  # depth belongs to a grey camera, which judges where the colour lands
+    rig = json.loads((folder / "cameras.json").read_text())
+    intrinsics = np.array([[rig["f"], 0, rig["cx"]], [0, rig["f"], rig["cy"]], [0, 0, 1]])
+    pose = np.eye(4)
+    pose[:3, 3] = np.linalg.solve(intrinsics, [rig["tx"], rig["ty"], rig["tz"]])
+    for name in ("0000000005.png", "0000000025.png"):
+        grey, color = (
+            cv2.imread(str(folder / camera / "image" / name), cv2.IMREAD_GRAYSCALE) for camera in ("cam0", "cam2")
+        )
+        depth_m = cv2.imread(str(folder / "cam0" / "groundtruth_depth" / name), cv2.IMREAD_UNCHANGED) / 256
+        affine, parallax_px = fit_affine(depth_m, intrinsics, pose)
+        aligned = cv2.warpAffine(color, affine, color.shape[::-1], flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+        known = depth_m > 0
+        before, after = (np.corrcoef(image[known], grey[known])[0, 1] for image in (color, aligned))
+        assert 1 - after < 0.4 * (1 - before)
+        assert 0.3 < parallax_px < 1.2  # KITTI's lenses are 6 cm apart
 
 
 @pytest.mark.parametrize("limits", [(-0.01, 0.5), (0.05, -1.0), (0.05, 45.0), (float("nan"), 0.5)])

@@ -13,7 +13,7 @@ from depthreg.errors import InputError
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.sensors import Clean, ColorCamera, SensorSimulator, Weather
 from depthreg.sensors.rain import Streaks, draw_streaks, drops_per_m3, rain_extinction_per_m, random_streaks
-from depthreg.sensors.weather import fog_extinction_per_m, haze, night, range_in_view, rays
+from depthreg.sensors.weather import fog_extinction_per_m, haze, night, overcast, range_in_view, rays
 
 MakeFrames = Callable[..., FrameBatch]
 SIZE = (37, 53)
@@ -46,6 +46,14 @@ def test_at_the_visibility_a_twentieth_of_the_contrast_is_left() -> None:
     twice = [haze(image, 2 * range_m, extinction, airlight) for image in (black, white)]
     torch.testing.assert_close(twice[1] - twice[0], torch.full((1, 3, 1, 1), 0.05**2))
     torch.testing.assert_close(haze(black, 1e4 * range_m, extinction, airlight), 0.6 * white)
+
+
+def test_in_dense_fog_nothing_is_brighter_than_the_fog() -> None:
+    image, airlight = torch.linspace(0, 1, 11).view(1, 1, 1, 11), torch.tensor([0.6])
+    assert torch.equal(overcast(image, torch.tensor([0.0]), airlight), image)
+    torch.testing.assert_close(overcast(image, torch.tensor([1.0]), airlight), image.clamp(max=0.6))
+    halfway = overcast(image, torch.tensor([2.0]).log() / 100, airlight)  # half of the sunlight passes 100 m of it
+    torch.testing.assert_close(halfway, image.clamp(max=0.8))
 
 
 def test_range_is_the_length_of_the_ray_and_the_sky_is_far() -> None:
@@ -82,9 +90,9 @@ def test_fog_on_the_misaligned_picture_is_fog_on_the_aligned_one(make_frames: Ma
     for i in range(4):
         # Two unknowns for each picture, the density and the airlight: fitted, then every pixel must agree.
         best = min(
-            ((haze(clear[i : i + 1], range_m[i : i + 1], beta[None], air[None]) - foggy[i]).abs() * inner[i]).max()
-            for beta in torch.linspace(0, 0.1, 101)
-            for air in torch.linspace(0.35, 0.8, 46)
+            ((haze(overcast(clear[[i]], beta, air), range_m[[i]], beta, air) - foggy[i]).abs() * inner[i]).max()
+            for beta in torch.linspace(0, 0.1, 101).split(1)
+            for air in torch.linspace(0.35, 0.8, 46).split(1)
         )
         assert best < 0.03
 
