@@ -2,16 +2,20 @@
 
 import difflib
 import functools
+import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import hydra
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, InstantiationException
+from hydra.types import RunMode
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -43,25 +47,50 @@ def run_application(
     Raises:
         InputError: An override names no key, or `check` refused a value.
     """
-    if not any(argument.startswith("-") for argument in argv):  # with flags, such as a sweep's, Hydra composes itself
+    flagged = any(argument.startswith("-") for argument in argv)
+    if not flagged:  # with flags, such as a sweep's, Hydra composes itself, perhaps several jobs
         config = compose_config(name, argv)
         if check:
             check(config)
     sys.argv = [f"depthreg {name}", *argv]
+
     refused: list[InputError] = []
 
     @functools.wraps(task)
     def guarded(config: DictConfig) -> Any:
         try:
+            if flagged and check:
+                check(config)
             return task(config)
-        except InputError as error:  # Hydra would print a traceback and exit with 1
-            refused.append(error)
+        except InputError as error:
+            if (
+                HydraConfig.get().mode == RunMode.MULTIRUN
+            ):  # the job, perhaps on another machine, has to count as failed
+                raise
+            refused.append(error)  # Hydra would say more than one sentence
             return None
 
-    hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name=name)(guarded)()
+    try:
+        with _raising_errors():
+            hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name=name)(guarded)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise InputError(_explain(error, name)) from error
     if refused:
         raise refused[0]
     return 0
+
+
+@contextmanager
+def _raising_errors() -> Iterator[None]:
+    """Let Hydra raise what a sweep's job raised, for which it would print a traceback and exit with 1."""
+    key, before = "HYDRA_FULL_ERROR", os.environ.get("HYDRA_FULL_ERROR")
+    os.environ[key] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[key]
+        if before is not None:
+            os.environ[key] = before
 
 
 def compose_config(name: str, overrides: Sequence[str] = ()) -> DictConfig:

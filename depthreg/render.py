@@ -1,28 +1,33 @@
-"""`depthreg render`: frames of a world as files, to look at or to use elsewhere."""
+"""`depthreg render`: a data set of one world, by many processes and machines, that goes on after any interruption."""
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
-import torch
-from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
-from omegaconf import DictConfig
+from hydra.utils import to_absolute_path
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import track
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
-from depthreg.config import require_counts, run_application
-from depthreg.data import io
-from depthreg.data.sample import Frame
+from depthreg.config import build, require_counts, require_positive, run_application
+from depthreg.data import io, rendered
+from depthreg.data.frame_files import read_frame, write_frame
+from depthreg.data.synthetic import FixedCamera, SyntheticFrames
 from depthreg.errors import InputError
-from depthreg.rendering import Camera, Embree, Renderer, ScanPattern
-from depthreg.sensors.lidar import rasterize
-from depthreg.viz import depth_limits_m, depth_with_bar, overlay_points, panel
-from depthreg.worlds.scene import Scene
+from depthreg.frame_pictures import frame_panel, overview
+from depthreg.parallel import core_count, do_each
+from depthreg.rendering import Camera, Rig
 
-DEPTH_SCALE = 256  # stored value per metre, as KITTI has it
-_OVERVIEW_WIDTH_PX = 480  # of one frame
+if sys.platform != "win32":
+    import fcntl
+
+_NOT_OF_THE_FRAMES = ("out", "workers", "shard", "shards", "verify")  # keys that no file depends on
+_OVERVIEW_COUNT = 24
 
 
 def main(argv: Sequence[str]) -> int:
@@ -36,113 +41,189 @@ def check(config: DictConfig) -> None:
     Raises:
         InputError: In one sentence.
     """
-    require_counts(config, ["count", "camera.width", "camera.height"])
-    require_counts(config, ["seed"], at_least=0)
+    require_counts(config, ["count", "camera.width", "camera.height", "workers", "shards"])
+    require_counts(config, ["seed", "shard"], at_least=0)
+    require_positive(config, ["depth_scale"])
+    if config.shard >= config.shards:
+        raise InputError(f"shard={config.shard} of shards={config.shards}: expected at most {config.shards - 1}")
     focal_px = config.camera.focal_px
-    if not isinstance(focal_px, int | float) or not focal_px > 0:
+    if isinstance(focal_px, str):
         raise InputError(f"camera.focal_px={focal_px}: expected a positive number of pixels")
-    io.check_new_folder(Path(config.out))
+    frames = build_frames(config)
+    if not config.verify:
+        rendered.check_folder(Path(config.out), rendered.describe(_recipe(config), frames))
 
 
 def run(config: DictConfig) -> None:
-    """Render the frames and say where they are."""
-    world, camera, scan, renderer = (instantiate(config[key]) for key in ("world", "camera", "scan", "rendering"))
-    out = Path(HydraConfig.get().runtime.output_dir)
-    folders = render_gallery(world, camera, scan, config.seed, config.count, out, renderer)
-    Console().print(f"{len(folders)} frames in {out}\nall of them {out / 'overview.png'}", soft_wrap=True)
-
-
-def render_gallery(
-    world: Callable[[int, int], Scene],
-    camera: Camera,
-    scan: ScanPattern | None,
-    seed: int,
-    count: int,
-    out_dir: Path,
-    renderer: Renderer | None = None,
-) -> list[Path]:
-    """Render the frames 0 to count - 1 of a world into files.
-
-    Args:
-        world: Builds the scene of (seed, index).
-        camera: What to look with; a margin is rendered but not written.
-        scan: The LiDAR's beams; none leaves `lidar.png` empty.
-        seed: First number of every scene.
-        count: How many frames.
-        out_dir: A new or an empty folder; it appears whole or not at all.
-        renderer: Renders the frames; Embree where not given.
-
-    Returns:
-        One folder for each frame, with what `write_frame` writes; `out_dir` also gets `overview.png`.
+    """Render what is missing and say where it is.
 
     Raises:
-        InputError: `count` isn't positive, or `out_dir` holds something already.
+        InputError: The folder can't be written or holds something else; of several shards, the sentence names its own.
     """
-    if count <= 0:
-        raise InputError(f"count={count} asks for no frame: a positive number was expected")
-    names = [f"{index:06d}" for index in range(count)]
-    with io.atomic_folder(out_dir) as folder:
-        overview, renderer = [], renderer or Embree()
-        for index, name in track(list(enumerate(names)), "Rendering", console=Console(stderr=True), transient=True):
-            frame = renderer(world(seed, index), camera, scan)
-            write_frame(folder / name, frame)
-            height = round(_OVERVIEW_WIDTH_PX * camera.height / camera.width)
-            small = cv2.resize(inner_rgb(frame), (_OVERVIEW_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
-            overview.append((f"seed {seed}, index {index}", small))
-        io.write_png(folder / "overview.png", panel(overview, columns=min(count, 4)))
-    return [out_dir / name for name in names]
+    out = Path(to_absolute_path(config.out))  # on a cluster's machines, the working directory may be another
+    try:
+        if config.verify:
+            _verify(out)
+        else:
+            _render(config, out)
+    except OSError as error:
+        raise InputError(_of_shard(config, f"{out} can't be written: {error.strerror or error}")) from error
+    except InputError as error:
+        raise InputError(_of_shard(config, str(error))) from error
 
 
-def write_frame(folder: Path, frame: Frame) -> None:
-    """Write one frame into a new folder.
+def _of_shard(config: DictConfig, sentence: str) -> str:
+    return f"shard {config.shard} of {config.shards}: {sentence}" if config.shards > 1 else sentence
 
-    The files are `rgb.png` and `rgb_right.png`; `depth.png` and `lidar.png`, 16 bits, metres times 256,
-    0 = none; `intrinsics.txt` with the 9 numbers of K; and `panel.png`, everything side by side.
+
+def build_frames(config: DictConfig) -> SyntheticFrames:
+    """What the composed configuration renders.
+
+    Raises:
+        InputError: A value can't be meant.
     """
-    folder.mkdir()
-    io.write_png(folder / "rgb.png", inner_rgb(frame))
-    io.write_png(folder / "rgb_right.png", frame.rgb_right)
-    io.write_depth_png(folder / "depth.png", frame.depth_m, DEPTH_SCALE)
-    io.write_depth_png(folder / "lidar.png", lidar_image(frame), DEPTH_SCALE)
-    with io.atomic_write(folder / "intrinsics.txt") as path:
-        np.savetxt(path, frame.intrinsics, fmt="%.6g")
-    io.write_png(folder / "panel.png", frame_panel(frame))
+    camera = build(config.camera)
+    offset = build(config.offset) if config.get("offset") else None
+    return SyntheticFrames(
+        build(config.world),
+        FixedCamera(camera) if isinstance(camera, Camera) else camera,
+        build(config.sensor).rig | Rig(right=True, offset=offset),
+        config.seed,
+        config.count,
+        max_depth_m=np.inf,
+        renderer=build(config.rendering),
+    )
 
 
-def inner_rgb(frame: Frame) -> np.ndarray:
-    """The colour image without its margin, on the depth's grid, (H, W, 3) uint8."""
-    margin = frame.margin_px
-    height, width = frame.depth_m.shape
-    return frame.rgb[margin : margin + height, margin : margin + width]
+def _recipe(config: DictConfig) -> dict[str, Any]:
+    """The part of the configuration that frames depend on, in plain containers."""
+    content: Any = OmegaConf.to_container(config, resolve=True)
+    return {key: value for key, value in content.items() if key not in _NOT_OF_THE_FRAMES}
 
 
-def lidar_image(frame: Frame) -> np.ndarray:
-    """The LiDAR's returns as sparse depth, (H, W) metres, 0 = none; the nearest return of a pixel wins."""
-    uv_px, depth_m = torch.from_numpy(frame.lidar.uv_px), torch.from_numpy(frame.lidar.depth_m)
-    return rasterize(uv_px[None], depth_m[None], frame.depth_m.shape)[0, 0].numpy()
+def _render(config: DictConfig, out: Path) -> None:
+    frames = build_frames(config)
+    rendered.begin(out, rendered.describe(_recipe(config), frames))
+    writer = FrameWriter(out, frames, config.depth_scale, config.panels)
+    indices = shard_indices(config.count, config.shard, config.shards)
+    with claim(out, indices):
+        made = render_missing(writer, indices, config.workers or core_count())
+    there = sum((out / rendered.frame_name(index)).is_dir() for index in range(config.count))
+    console = Console()
+    console.print(f"{there} of {config.count} frames in {out}, {made} of them new", soft_wrap=True)
+    if there == config.count:
+        _finish(out, config.seed, config.count)
+        console.print(f"some of them {out / rendered.OVERVIEW}", soft_wrap=True)
 
 
-def frame_panel(frame: Frame) -> np.ndarray:
-    """Everything that a frame holds, in one picture."""
-    limits = depth_limits_m(frame.depth_m)
-    height, width = frame.depth_m.shape
-    tiles = [
-        ("colour, LiDAR returns", overlay_points(inner_rgb(frame), lidar_image(frame))),
-        ("right camera", frame.rgb_right),
-        ("depth", depth_with_bar(frame.depth_m, *limits)),
-        ("normals", _picture_of_normals(frame)),
-        ("objects", _picture_of_objects(frame)),
-    ]
-    return panel(tiles, columns=1 if width > 2 * height else 2)
+def shard_indices(count: int, shard: int, shards: int) -> range:
+    """The frames of one of `shards` nearly equal parts of `count` frames."""
+    return range(count * shard // shards, count * (shard + 1) // shards)
 
 
-def _picture_of_normals(frame: Frame) -> np.ndarray:
-    """Red = right, green = up, blue = towards the camera; grey sky."""
-    return np.rint(127.5 + 127.5 * frame.normal * [1, -1, -1]).astype(np.uint8)
+@contextmanager
+def claim(folder: Path, indices: range) -> Iterator[None]:
+    """Keep other processes from rendering the same frames; a killed process's claim ends with it.
+
+    Raises:
+        InputError: Another process renders some of them.
+    """
+    lock = folder / ".lock"  # a byte for each frame
+    with lock.open("ab") as file:
+        if indices and sys.platform != "win32":
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, len(indices), indices.start)
+            except (BlockingIOError, PermissionError) as error:
+                raise InputError(f"{folder} is being filled by another process: expected one for each frame") from error
+            except OSError:  # some network file systems have no locks
+                pass
+        yield
 
 
-def _picture_of_objects(frame: Frame) -> np.ndarray:
-    """A colour for each object, black sky."""
-    colors = np.random.default_rng(0).integers(60, 256, (frame.object_id.max() + 2, 3), dtype=np.uint8)
-    colors[-1] = 0  # object -1
-    return colors[frame.object_id]
+@dataclass(frozen=True)
+class FrameWriter:
+    """Renders frames into their folders, each of which appears whole or not at all.
+
+    Attributes:
+        folder: Of the data set.
+        frames: What to render.
+        depth_scale: Stored value per metre.
+        panels: Whether each frame gets a picture of all its parts.
+    """
+
+    folder: Path
+    frames: SyntheticFrames
+    depth_scale: float
+    panels: bool
+
+    def path(self, index: int) -> Path:
+        """Where a frame is."""
+        return self.folder / rendered.frame_name(index)
+
+    def __call__(self, index: int) -> None:
+        """Render frame `index`."""
+        scene = self.frames.world(self.frames.seed, index)
+        frame = self.frames.look(scene, index)
+        partial = self.folder / f".{rendered.frame_name(index)}.partial"
+        io.remove_folder(partial)  # of a process that was killed
+        partial.mkdir()
+        try:
+            write_frame(partial, frame, scene, self.depth_scale)
+            if self.panels:
+                io.write_png(partial / "panel.png", frame_panel(frame))
+            rendered.write_checksums(partial)
+            partial.rename(self.path(index))
+        finally:
+            io.remove_folder(partial)
+
+
+def render_missing(writer: FrameWriter, indices: Sequence[int], workers: int) -> int:
+    """Render those frames that aren't there yet; returns how many that were."""
+    missing = [index for index in indices if not writer.path(index).is_dir()]
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("frames"),
+        _Speed(),
+        TimeRemainingColumn(),
+        TextColumn("left"),
+    )
+    with _progress(*columns) as progress:
+        bar = progress.add_task("", total=len(indices), completed=len(indices) - len(missing))
+        for _ in do_each(writer, missing, min(workers, len(missing))):
+            progress.advance(bar)
+    return len(missing)
+
+
+def _progress(*columns: str | ProgressColumn) -> Progress:
+    """A bar on a terminal, nothing in a log."""
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+class _Speed(ProgressColumn):
+    """Frames a second."""
+
+    def render(self, task: Task) -> Text:
+        """What to show now."""
+        return Text(f"{task.speed:.1f}/s," if task.speed else "")
+
+
+def _finish(out: Path, seed: int, count: int) -> None:
+    """Write the overview and the manifest; whichever shards end last do it, and write the same."""
+    if (out / rendered.MANIFEST).exists():
+        return
+    some = np.unique(np.linspace(0, count - 1, min(count, _OVERVIEW_COUNT)).round().astype(int))
+    pictures = {f"seed {seed}, index {i}": read_frame(out / rendered.frame_name(i), Rig()) for i in some.tolist()}
+    io.write_png(out / rendered.OVERVIEW, overview(pictures))
+    rendered.write_manifest(out, count)
+    (out / ".lock").unlink(missing_ok=True)
+
+
+def _verify(out: Path) -> None:
+    total = len(rendered.manifest_lines(out))
+    with _progress(*Progress.get_default_columns()) as progress:
+        bar = progress.add_task("Comparing", total=total)
+        for _ in rendered.verify(out):
+            progress.advance(bar)
+    Console().print(f"{total} files in {out} are as they were written", soft_wrap=True)

@@ -5,7 +5,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import lightning as L
 import torch
@@ -20,12 +20,13 @@ from rich.console import Console
 from depthreg.callbacks import DifficultyRamp
 from depthreg.checkpoint import load_weights, read_checkpoint
 from depthreg.config import build, build_simulator, require_counts, require_positive, run_application
-from depthreg.data.datamodule import SyntheticDataModule
+from depthreg.data.datamodule import FramesDataModule, RenderedDataModule, SyntheticDataModule
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
+from depthreg.sensors import SensorSimulator
 from depthreg.stages import Stage
 
 
@@ -49,16 +50,15 @@ def check(config: DictConfig) -> None:
     require_counts(config, counts)
     require_counts(config, ["seed", "data.workers"], at_least=0)
     require_counts(config, ["data.width", "data.height"], at_least=64)
-    if config.data.name != "synthetic":
+    if config.data.name not in _DATA_MODULES:
         raise InputError(
-            f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected data=synthetic"
-        )
-    if config.data.train_count < config.data.batch_size:
-        raise InputError(
-            f"data.train_count={config.data.train_count}: expected at least one batch of {config.data.batch_size}"
+            f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected one of "
+            f"{', '.join(_DATA_MODULES)}"
         )
     if config.resume and config.init_from:
         raise InputError("resume and init_from exclude each other: resume takes everything, init_from the weights only")
+    if missing := OmegaConf.missing_keys(config):
+        raise InputError(f"{min(missing)} is missing: expected {min(missing)}=... on the command line")
     require_positive(config, ["learning_rate"])
     network = build(config.model)
     for name in config.stages:
@@ -109,29 +109,32 @@ def run(config: DictConfig) -> float:
         load_weights(network, Path(config.init_from))
     for i, name in enumerate(names):
         train_stage(config, name, network, out / name, resume=config.resume if i == 0 else None)
-    results = evaluate_stage(config, names[-1], network, out)
+    frames, results = evaluate_stage(config, names[-1], network, out)
     console = Console()
-    console.print(rich_table(results, f"{config.data.val_count} synthetic frames never trained on"))
+    console.print(rich_table(results, f"{frames} synthetic frames never trained on"))
     console.print(f"run      {out}\npicture  {out / 'panels' / '000000.png'}", soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
 
 
-def build_stage(
-    config: DictConfig, name: str, network: JointNetwork
-) -> tuple[Stage, SyntheticDataModule, DifficultyRamp]:
+def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[Stage, FramesDataModule, DifficultyRamp]:
     """The module, the data and the difficulty of one stage, from the composed configuration.
 
     Raises:
         InputError: A value of the configuration can't be meant.
     """
-    stage, data = config.stages[name], config.data
+    stage = config.stages[name]
     try:
         simulator = build_simulator(stage)
         ramp = DifficultyRamp(**stage.difficulty)
     except ValueError as error:
         raise InputError(f"stages.{name}: {error}") from error
     module = build(stage.module, network=network, loss=build(config.loss), simulator=simulator, seed=config.seed)
-    datamodule = SyntheticDataModule(
+    return module, _DATA_MODULES[config.data.name](config, stage, simulator), ramp
+
+
+def _synthetic_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
+    data = config.data
+    return SyntheticDataModule(
         world=build(stage.world),
         camera=build(data.camera),
         rig=simulator.rig,
@@ -144,7 +147,24 @@ def build_stage(
         cache_dir=data.cache_dir,
         renderer=build(config.rendering),
     )
-    return module, datamodule, ramp
+
+
+def _rendered_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
+    data = config.data
+    return RenderedDataModule(
+        root=data.root,
+        world=cast(dict[str, Any], OmegaConf.to_container(stage.world, resolve=True)),
+        rig=simulator.rig,
+        max_corner_shift_px=simulator.max_corner_shift_px,
+        val_share=data.val_share,
+        batch_size=data.batch_size,
+        workers=data.workers,
+        seed=config.seed,
+        max_depth_m=data.max_depth_m,
+    )
+
+
+_DATA_MODULES = {"synthetic": _synthetic_data, "rendered": _rendered_data}
 
 
 def train_stage(config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None) -> None:
@@ -193,8 +213,12 @@ def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
     return [instantiate(logger, _partial_=True)(**places[key]) for key, logger in chosen.items()]
 
 
-def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> Results:
-    """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`."""
+def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> tuple[int, Results]:
+    """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`.
+
+    Returns:
+        How many frames, and their scores.
+    """
     module, datamodule, _ = build_stage(config, name, network)
     frames = SyntheticMeasurements(datamodule.val_frames, module.simulator, module.val_difficulty, config.seed)
     panels = out / "panels"
@@ -202,4 +226,4 @@ def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Pa
     device = "cuda" if torch.cuda.is_available() else "cpu"
     results = evaluate(network.to(device), frames, panel_dir=panels)
     write_report(results, out)
-    return results
+    return len(frames), results

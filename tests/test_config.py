@@ -14,7 +14,7 @@ ONLY_WITH = {("data", "folder"): ["data.depth_scale=256"], ("data", "synthetic")
 GROUPS_OF = {
     "train": ["stage", "data", "model", "loss", "callbacks", "logger", "trainer", "preset", "experiment", "rendering"],
     "evaluate": ["data", "world", "sensor", "offset", "color", "rendering"],
-    "render": ["world", "camera", "rendering"],
+    "render": ["world", "camera", "sensor", "offset", "rendering", "precision"],
 }
 
 

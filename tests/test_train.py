@@ -126,6 +126,34 @@ def test_two_runs_of_one_seed_are_one(curriculum: Path, train: Train) -> None:
     assert all(torch.equal(value, again[key]) for key, value in weights(curriculum / "joint" / "last.ckpt").items())
 
 
+def test_stored_frames_teach_what_frames_rendered_anew_do(curriculum: Path, train: Train, tmp_path: Path) -> None:
+    """Depth in bins is stored without loss, so that the weights are the same to the last bit."""
+    camera = ["camera=random", "camera.width=80", "camera.height=64", "camera.focal_px=[186,500]"]
+    frames = ["world=blocks", "sensor=clean", *camera, "count=6", "workers=1", f"out={tmp_path / 'blocks'}"]
+    assert main(["render", *frames]) == 0
+    stored = train("stage=joint", "data=rendered", f"data.root={tmp_path}", "data.val_share=0.34")
+    ours, theirs = (weights(folder / "joint" / "last.ckpt") for folder in (stored, curriculum))
+    assert [key for key in theirs if not torch.equal(ours[key], theirs[key])] == []
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["data=rendered"], "data.root is missing"),
+        (["data=rendered", "data.root=nowhere"], "nowhere holds no dataset.json"),
+        (["data=kitti", "data.root=x"], "expected one of synthetic, rendered"),
+    ],
+)
+def test_data_that_cannot_be_trained_on_is_refused(
+    overrides: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *overrides]) == 2
+    message = capsys.readouterr().err
+    assert said in message and len(message.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_each_stage_has_a_wandb_run_of_its_own_that_stays_offline(train: Train) -> None:
     folder = train("logger=wandb", "callbacks.panels=null")
     for name in STAGES:

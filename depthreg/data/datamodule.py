@@ -1,6 +1,6 @@
 """Training and validation frames for one stage."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,9 @@ import lightning as L
 import torch
 from torch.utils.data import DataLoader, Sampler
 
+from depthreg.data.rendered import RenderedFrames, find_world, split
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
+from depthreg.errors import InputError
 from depthreg.rendering import Renderer, Rig
 from depthreg.sensors.simulator import seeded_generator
 from depthreg.worlds.scene import Scene
@@ -39,7 +41,51 @@ class EpochShuffle(Sampler[int]):
         return self.count
 
 
-class SyntheticDataModule(L.LightningDataModule):
+class FramesDataModule(L.LightningDataModule):
+    """Training and validation frames, from wherever they come.
+
+    Args:
+        train_frames: Gives items as `pack` makes them; every epoch sees each once.
+        val_frames: Likewise.
+        batch_size: Frames a step.
+        workers: Processes that render or load.
+        seed: Of the training frames' order.
+
+    Raises:
+        InputError: The training frames don't make a batch.
+    """
+
+    def __init__(
+        self,
+        train_frames: SyntheticFrames | RenderedFrames,
+        val_frames: SyntheticFrames | RenderedFrames,
+        batch_size: int,
+        workers: int,
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self.train_frames, self.val_frames = train_frames, val_frames
+        count = len(train_frames)
+        if count < batch_size:
+            raise InputError(f"{count} training frames: expected at least one batch of {batch_size}")
+        self.shuffle = EpochShuffle(count, seed)
+        self.options: dict[str, Any] = {
+            "batch_size": batch_size,
+            "num_workers": workers,
+            "collate_fn": collate_frames,
+            "persistent_workers": workers > 0,
+        }
+
+    def train_dataloader(self) -> DataLoader:
+        """Shuffled; a last incomplete batch is left out, as its normalisation statistics would be poor."""
+        return DataLoader(self.train_frames, sampler=self.shuffle, drop_last=True, **self.options)
+
+    def val_dataloader(self) -> DataLoader:
+        """In order, complete."""
+        return DataLoader(self.val_frames, **self.options)
+
+
+class SyntheticDataModule(FramesDataModule):
     """Rendered frames of one world, training and validation drawn from different seeds.
 
     Args:
@@ -70,24 +116,44 @@ class SyntheticDataModule(L.LightningDataModule):
         cache_dir: str | None = None,
         renderer: Renderer | None = None,
     ) -> None:
-        super().__init__()
         cache = Path(cache_dir) if cache_dir else None
-        self.train_frames = SyntheticFrames(world, camera, rig, seed, train_count, max_depth_m, cache, renderer)
-        self.val_frames = SyntheticFrames(
-            world, camera, rig, seed + VALIDATION_SEED_OFFSET, val_count, max_depth_m, cache, renderer
+        train, val = (
+            SyntheticFrames(world, camera, rig, first, count, max_depth_m, cache, renderer)
+            for first, count in ((seed, train_count), (seed + VALIDATION_SEED_OFFSET, val_count))
         )
-        self.shuffle = EpochShuffle(train_count, seed)
-        self.options: dict[str, Any] = {
-            "batch_size": batch_size,
-            "num_workers": workers,
-            "collate_fn": collate_frames,
-            "persistent_workers": workers > 0,
-        }
+        super().__init__(train, val, batch_size, workers, seed)
 
-    def train_dataloader(self) -> DataLoader:
-        """Shuffled; a last incomplete batch is left out, as its normalisation statistics would be poor."""
-        return DataLoader(self.train_frames, sampler=self.shuffle, drop_last=True, **self.options)
 
-    def val_dataloader(self) -> DataLoader:
-        """In order, complete."""
-        return DataLoader(self.val_frames, **self.options)
+class RenderedDataModule(FramesDataModule):
+    """Frames that `depthreg render` wrote: the first of a data set for training, its last ones for validation.
+
+    Args:
+        root: A data set, or a folder with one for each world.
+        world: Configuration of the world that is asked for.
+        rig: What the sensor simulator needs.
+        max_corner_shift_px: Largest misalignment that the colour's margin has to serve.
+        val_share: Share of the frames that are for validation.
+        batch_size, workers, seed, max_depth_m: As for `SyntheticDataModule`.
+
+    Raises:
+        InputError: There is no such data set, it isn't complete, or it lacks what is needed.
+    """
+
+    def __init__(
+        self,
+        root: str | Path,
+        world: Mapping[str, Any],
+        rig: Rig,
+        max_corner_shift_px: float,
+        val_share: float,
+        batch_size: int,
+        workers: int = 2,
+        seed: int = 0,
+        max_depth_m: float = 120.0,
+    ) -> None:
+        folder = find_world(Path(root), world)
+        train, val = (
+            RenderedFrames(folder, indices, rig, max_corner_shift_px, max_depth_m)
+            for indices in split(folder, val_share)
+        )
+        super().__init__(train, val, batch_size, workers, seed)

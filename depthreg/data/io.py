@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -168,9 +168,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def check_new_folder(path: Path) -> None:
+def remove_folder(path: Path) -> None:
+    """Remove a folder of files, where it is there."""
+    if path.exists():
+        shutil.rmtree(path)
+
+
+def check_new_folder(path: Path, ignore_hidden: bool = False) -> None:
     """Raise `InputError` unless `path` is an empty folder or can become one: nobody's files get lost."""
-    if path.is_dir() and any(path.iterdir()):
+    if path.is_dir() and any(not (ignore_hidden and child.name.startswith(".")) for child in path.iterdir()):
         raise InputError(f"{path} isn't empty: a new or an empty folder was expected")
     nearest = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
     if not nearest.is_dir():
@@ -233,6 +239,26 @@ def write_json(path: Path, content: Any) -> None:
         temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
+def read_json(path: Path) -> Any:
+    """Read a JSON file.
+
+    Raises:
+        InputError: Unreadable, or no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path} can't be decoded: intact JSON was expected") from error
+
+
+def read_png(path: Path) -> np.ndarray:
+    """Read a PNG as it is stored: (H, W, 3) RGB or (H, W), of uint8 or uint16."""
+    stored = _decode(path, cv2.IMREAD_UNCHANGED)
+    return cv2.cvtColor(stored, cv2.COLOR_BGR2RGB) if stored.ndim == 3 else stored
+
+
 def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray) -> None:
     """Write a coloured point cloud as binary PLY: points (N, 3) in metres, colours (N, 3) uint8."""
     position, colour = ("x", "y", "z"), ("red", "green", "blue")
@@ -240,7 +266,17 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray) -> None:
     for names, columns in ((position, points_m), (colour, rgb)):
         for name, column in zip(names, columns.T, strict=True):
             vertices[name] = column
-    properties = [f"property float {name}" for name in position] + [f"property uchar {name}" for name in colour]
+    write_ply_vertices(path, vertices)
+
+
+_PLY_TYPES = {"float": "<f4", "uchar": "|u1", "short": "<i2"}
+
+
+def write_ply_vertices(path: Path, vertices: np.ndarray) -> None:
+    """Write a structured array (N,) of float32, uint8 or int16 fields as binary PLY, a property for each field."""
+    names = {stored: name for name, stored in _PLY_TYPES.items()}
+    fields = cast(dict[str, tuple[np.dtype, int]], vertices.dtype.fields)
+    properties = [f"property {names[kind.str]} {name}" for name, (kind, _) in fields.items()]
     lines = [
         "ply",
         "format binary_little_endian 1.0",
@@ -250,3 +286,23 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray) -> None:
     ]
     with atomic_write(path) as temporary:
         temporary.write_bytes("\n".join([*lines, ""]).encode() + vertices.tobytes())
+
+
+def read_ply_vertices(path: Path) -> np.ndarray:
+    """Read what `write_ply_vertices` wrote, as a structured array (N,).
+
+    Raises:
+        InputError: Unreadable, cut off, or of another layout.
+    """
+    try:
+        header, _, content = path.read_bytes().partition(b"end_header\n")
+        words = [line.split() for line in header.decode("ascii").splitlines()]
+        dtype = np.dtype([(line[2], _PLY_TYPES[line[1]]) for line in words if line[0] == "property"])
+        (count,) = (int(line[2]) for line in words if line[:2] == ["element", "vertex"])
+        if words[1][1] != "binary_little_endian" or len(content) != count * dtype.itemsize:
+            raise ValueError
+        return np.frombuffer(content, dtype)
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror}") from error
+    except (ValueError, LookupError) as error:
+        raise InputError(f"{path} can't be decoded: an intact binary PLY of one vertex list was expected") from error

@@ -1,7 +1,7 @@
 """Rendered frames as a data set: drawn on the fly, or kept on disk after the first time."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -54,6 +54,17 @@ class RandomCamera:
         )
 
 
+@dataclass(frozen=True)
+class FixedCamera:
+    """One camera for all frames, where `RandomCamera` draws one for each."""
+
+    camera: Camera
+
+    def __call__(self, rng: np.random.Generator) -> Camera:
+        """Always the same."""
+        return self.camera
+
+
 class SyntheticFrames(Dataset[dict[str, Any]]):
     """Frames of one world; item i is a function of (world, camera, rig, seed, renderer, i) alone.
 
@@ -71,7 +82,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
     def __init__(
         self,
         world: Callable[[int, int], Scene],
-        camera: RandomCamera,
+        camera: Callable[[np.random.Generator], Camera],
         rig: Rig,
         seed: int,
         count: int,
@@ -82,7 +93,7 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
         self.world, self.camera, self.rig, self.seed, self.count = world, camera, rig, seed, count
         self.max_depth_m, self.renderer = max_depth_m, renderer or Embree()
         recipe = repr((world, camera, rig, seed, max_depth_m, self.renderer)).encode()
-        recipe += _code_of("worlds", "rendering", "sensors")
+        recipe += code_of("worlds", "rendering", "sensors")
         self.folder = cache_dir / hashlib.sha256(recipe).hexdigest()[:16] if cache_dir else None
 
     def __len__(self) -> int:
@@ -90,13 +101,17 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
 
     def frame(self, index: int) -> Frame:
         """Render frame `index`, with what the rig needs in it."""
+        return self.look(self.world(self.seed, index), index)
+
+    def look(self, scene: Scene, index: int) -> Frame:
+        """Render frame `index`, whose scene is there already."""
         camera = self.camera(np.random.default_rng([self.seed, index, 1]))
         rng, rig = np.random.default_rng([self.seed, index, 2]), self.rig
         return self.renderer(
-            self.world(self.seed, index),
+            scene,
             camera,
             rig.scans[rng.integers(len(rig.scans))].started(rng) if rig.scans else None,
-            right=bool(rig.matchers),
+            right=rig.right or bool(rig.matchers),
             rgb_from_depth=rig.offset(rng) if rig.offset else None,
         )
 
@@ -115,8 +130,12 @@ class SyntheticFrames(Dataset[dict[str, Any]]):
             return {**{key: arrays[key] for key in arrays.files}, "index": index}
 
     def _packed(self, index: int) -> dict[str, np.ndarray]:
-        rng = np.random.default_rng([self.seed, index, 3])
-        return pack(self.frame(index), self.rig, rng, self.max_depth_m)
+        return pack(self.frame(index), self.rig, pack_rng(self.seed, index), self.max_depth_m)
+
+
+def pack_rng(seed: int, index: int) -> np.random.Generator:
+    """What `pack` draws from for frame `index`, whether it is rendered now or was long ago."""
+    return np.random.default_rng([seed, index, 3])
 
 
 def pack(frame: Frame, rig: Rig, rng: np.random.Generator, max_depth_m: float) -> dict[str, np.ndarray]:
@@ -149,7 +168,7 @@ _CHANNELS_LAST = ("rgb", "normal", "offset_rgb")  # (H, W, C) as NumPy and OpenC
 _PLANES = ("depth_m", "albedo", "gloss", "disparity_px")  # (H, W)
 
 
-def _code_of(*packages: str) -> bytes:
+def code_of(*packages: str) -> bytes:
     """Source text of our packages: a cached frame belongs to the code that rendered it."""
     root = Path(__file__).parents[1]
     return b"".join(path.read_bytes() for package in packages for path in sorted((root / package).glob("*.py")))
@@ -180,11 +199,13 @@ class SyntheticMeasurements(Dataset[Measurement]):
         seed: First number of every draw.
     """
 
-    def __init__(self, frames: SyntheticFrames, simulator: SensorSimulator, difficulty: float, seed: int) -> None:
+    def __init__(
+        self, frames: Dataset[dict[str, Any]], simulator: SensorSimulator, difficulty: float, seed: int
+    ) -> None:
         self.frames, self.simulator, self.difficulty, self.seed = frames, simulator, difficulty, seed
 
     def __len__(self) -> int:
-        return len(self.frames)
+        return len(cast(Sized, self.frames))
 
     def __getitem__(self, index: int) -> Measurement:
         batch = collate_frames([self.frames[index]])

@@ -57,12 +57,14 @@ class Rig:
         matchers: Stereo matchers; each frame's pair is matched by one of them, drawn at random.
         surfaces: Whether normals, albedo and gloss are needed.
         offset: A colour camera that stands elsewhere.
+        right: Whether the right view is needed, even without a matcher.
     """
 
     scans: tuple[ScanPattern, ...] = ()
     matchers: tuple[PairMatcher, ...] = ()
     surfaces: bool = False
     offset: RandomOffset | None = None
+    right: bool = False
 
     def __or__(self, other: "Rig") -> "Rig":
         """Everything that either needs."""
@@ -71,4 +73,5 @@ class Rig:
             matchers=tuple(dict.fromkeys(self.matchers + other.matchers)),
             surfaces=self.surfaces or other.surfaces,
             offset=self.offset or other.offset,
+            right=self.right or other.right,
         )
