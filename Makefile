@@ -4,10 +4,10 @@ ARGS ?=
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test lint wheel clean
+.PHONY: help install train test integration lint wheel clean
 
 help:  ## say what there is
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo 'ARGS="..." goes to the command of train and test; PYTHON=... chooses the Python of a new .venv.'
 
 install: .venv/installed  ## make .venv and install depthreg with everything that its tests need
@@ -26,6 +26,10 @@ train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's ove
 
 test: install  ## run the tests
 	$(BIN)/python -m pytest $(ARGS)
+
+integration: install  ## run the tests on a real Ray and, where it is installed, a real Slurm; takes about a minute
+	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,cluster]"
+	$(BIN)/python -m pytest tests/integration $(ARGS)
 
 lint: install  ## check style and types
 	$(BIN)/ruff check .
