@@ -164,7 +164,7 @@ def build_simulator(node: DictConfig) -> SensorSimulator:
         InputError: A part refuses a value.
         ValueError: The simulator does.
     """
-    parts = {key: build(node[key]) for key in ("offset", "color") if node.get(key)}
+    parts = {key: build(node[key]) for key in ("offset", "color", "weather") if node.get(key)}
     return SensorSimulator(build(node.sensor), node.max_corner_shift_px, offset_share=node.offset_share, **parts)
 
 

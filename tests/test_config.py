@@ -13,7 +13,7 @@ NEEDED = {"train": [], "render": [], "evaluate": ["checkpoint=x", "data.root=x"]
 ONLY_WITH = {("data", "folder"): ["data.depth_scale=256"], ("data", "synthetic"): []}
 GROUPS_OF = {
     "train": ["stage", "data", "model", "loss", "callbacks", "logger", "trainer", "preset", "experiment", "rendering"],
-    "evaluate": ["data", "world", "sensor", "offset", "color", "rendering"],
+    "evaluate": ["data", "world", "sensor", "offset", "color", "weather", "rendering"],
     "render": ["world", "camera", "sensor", "offset", "rendering", "precision"],
 }
 

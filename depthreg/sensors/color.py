@@ -1,9 +1,10 @@
-"""What a real camera does to a picture: lens, exposure, white balance, noise and JPEG, and the weather before it.
+"""What a real camera does to a picture: lens, exposure, white balance, noise, tone and JPEG.
 
 Light adds up in linear light, so everything but JPEG happens there; the tone curve is the renderer's.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -14,13 +15,18 @@ from torch import Tensor
 
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
+from depthreg.geometry import unproject
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX
-from depthreg.sensors.weather import Weather, change_some, rays
 
-_GAMMA = 2.2  # of the renderer's pictures
+GAMMA = 2.2  # of the renderer's pictures
 
 _WAVELENGTHS_UM = (0.61, 0.545, 0.465)  # where the red, green and blue pixels of a camera see best
 _SECOND_RADIATION_CONSTANT = 14388.0  # um K
+
+
+def rays(intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
+    """Directions through the pixels, (B, 3, H, W), z = 1."""
+    return unproject(intrinsics.new_ones(len(intrinsics), *size), intrinsics).permute(0, 3, 1, 2)
 
 
 def temperature_gains(shift_mired: Tensor) -> Tensor:
@@ -85,6 +91,18 @@ def sensor_noise(
     return linear + sigma * torch.randn(linear.shape, generator=generator).to(linear.device)
 
 
+def change_some(images: Tensor, drawn: Tensor, change: Callable[[Tensor], Tensor]) -> Tensor:
+    """Images (B, ...) of which some are changed.
+
+    Args:
+        images: Left as they are.
+        drawn: (B,) on the CPU, so that no device is waited for; not 0 for those to change.
+        change: Makes the changed images from their numbers (K,) in the batch, which are on the CPU too.
+    """
+    chosen = drawn.nonzero().flatten()
+    return images.index_copy(0, chosen.to(images.device), change(chosen)) if len(chosen) else images
+
+
 class ColorDraws(NamedTuple):
     """How strongly each sample has each artifact, (B,) in [-1, 1]; 0 = not at all."""
 
@@ -117,7 +135,6 @@ class ColorCamera:
         read_noise_e: Electrons.
         max_tone_stops: How often the tone curve's exponent is doubled (deep shadows) or halved (pale ones).
         min_jpeg_quality: Of the codec, 1 to 100.
-        weather: What lies before the lens; None for a clear day.
 
     Raises:
         InputError: A value can't be meant.
@@ -134,7 +151,6 @@ class ColorCamera:
     read_noise_e: float = 4.0
     max_tone_stops: float = 0.6
     min_jpeg_quality: float = 30.0
-    weather: Weather | None = None
 
     def __post_init__(self) -> None:
         limits = [getattr(self, field.name) for field in fields(self) if field.name.startswith("max_")]
@@ -157,14 +173,11 @@ class ColorCamera:
         drawn = torch.rand(len(ColorDraws._fields), len(rgb), generator=generator) < difficulty * self.share
         strength = difficulty * (2 * torch.rand(drawn.shape, generator=generator) - 1)
         draws = ColorDraws(*(strength * drawn))
-        clear = rgb**_GAMMA
-        linear, daylight = clear, torch.ones(len(rgb))
-        if self.weather:
-            linear, daylight = self.weather(linear, measurement, difficulty, generator)
-        linear = self._through_lens(linear, measurement["intrinsics"], draws, generator)
-        linear = self._on_sensor(linear, daylight, draws, generator)
+        clear = rgb**GAMMA
+        linear = self._through_lens(clear, measurement["intrinsics"], draws, generator)
+        linear = self._on_sensor(linear, draws, generator)
         # A tone curve there and back is not quite the identity, which it has to be for pictures without a flaw.
-        rgb = torch.where(linear == clear, rgb, linear.clamp(0, 1) ** (1 / _GAMMA))
+        rgb = torch.where(linear == clear, rgb, linear.clamp(0, 1) ** (1 / GAMMA))
         tone = self.max_tone_stops * draws.tone
         rgb = change_some(rgb, tone, lambda i: rgb[i] ** 2 ** tone[i].to(rgb.device)[:, None, None, None])
         lost = (100 - self.min_jpeg_quality) * draws.jpeg.abs()
@@ -192,17 +205,13 @@ class ColorCamera:
             bright, defocus_px + motion_px, lambda i: filter2d(bright[i], kernels[i].to(device), "replicate")
         )
 
-    def _on_sensor(
-        self, linear: Tensor, daylight: Tensor, draws: ColorDraws, generator: torch.Generator | None
-    ) -> Tensor:
-        """Exposure, white balance and noise; `daylight` (B,) is the share of it that is left."""
+    def _on_sensor(self, linear: Tensor, draws: ColorDraws, generator: torch.Generator | None) -> Tensor:
+        """Exposure, white balance and noise."""
         gains = temperature_gains(self.max_temperature_mired * draws.temperature)
         gains = gains * 2 ** (self.max_exposure_ev * draws.exposure)[:, None]
         exposed = linear * gains.to(linear.device)[..., None, None]
         gain_stops = self.max_gain_stops * draws.noise.abs()
-        electrons = self.full_well_e * daylight / 2**gain_stops
+        electrons = (self.full_well_e / 2**gain_stops).to(linear.device)
         return change_some(
-            exposed,
-            gain_stops + (daylight < 1),
-            lambda i: sensor_noise(exposed[i], electrons[i].to(linear.device), self.read_noise_e, generator),
+            exposed, gain_stops, lambda i: sensor_noise(exposed[i], electrons[i], self.read_noise_e, generator)
         )

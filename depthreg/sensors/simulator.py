@@ -11,6 +11,7 @@ from depthreg.geometry import compose_affines, flip_affine, flip_intrinsics, ide
 from depthreg.rendering import RandomOffset, Rig
 from depthreg.sensors.color import ColorCamera
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, misalign_rgb, random_affines
+from depthreg.sensors.weather import Weather
 
 
 class DepthSensor(Protocol):
@@ -36,6 +37,7 @@ class SensorSimulator:
         offset_share: Share of samples that take this view at difficulty 1, in [0, 1]; the others are off by an affine.
         color: What becomes of the colour; None leaves it perfect. The truth stays clean: blur, noise and blocks belong
             to the camera's own pixels and to nothing on the depth's grid.
+        weather: What the colour is seen through, and a scanner's returns with it; None for clear days.
     """
 
     def __init__(
@@ -45,6 +47,7 @@ class SensorSimulator:
         offset: RandomOffset | None = None,
         offset_share: float = 0.5,
         color: ColorCamera | None = None,
+        weather: Weather | None = None,
     ) -> None:
         if max_corner_shift_px < 0 or not 0 <= offset_share <= 1:
             raise ValueError(
@@ -53,7 +56,8 @@ class SensorSimulator:
             )
         self.depth_sensor = depth_sensor
         self.max_corner_shift_px = max_corner_shift_px
-        self.offset, self.offset_share, self.color = offset, offset_share, color
+        self.offset, self.offset_share = offset, offset_share
+        self.color, self.weather = color, weather
 
     @property
     def rig(self) -> Rig:
@@ -81,6 +85,8 @@ class SensorSimulator:
             truth_affine_rgb_from_depth=compose_affines(affine, view_from_depth),
             truth_parallax_px=parallax_px,
         )
+        if self.weather:
+            measurement = self.weather(measurement, difficulty, generator, scanned=bool(self.rig.scans))
         if self.color:
             measurement["rgb"] = self.color(measurement, difficulty, generator)
         return measurement

@@ -8,15 +8,16 @@ the distance.
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
-from depthreg.geometry import invert_affine, pixel_grid, sample_at, transform_points, unproject
+from depthreg.geometry import invert_affine, pixel_grid, sample_at, transform_points
+from depthreg.sensors.color import GAMMA, change_some, rays, sensor_noise
 from depthreg.sensors.rain import draw_streaks, rain_extinction_per_m, random_streaks
 
 _FARTHEST_M = 1000.0  # what has no depth, sky mostly, counts as so far away
@@ -44,23 +45,6 @@ def range_in_view(depth_m: Tensor, affine_rgb_from_depth: Tensor, intrinsics: Te
     places_px = places_px.minimum(last).clamp(min=0).unflatten(1, (height, width))
     moved, _ = sample_at(inverse, places_px)
     return rays(intrinsics, (height, width)).norm(dim=1, keepdim=True) / moved.clamp(min=1 / _FARTHEST_M)
-
-
-def change_some(images: Tensor, drawn: Tensor, change: Callable[[Tensor], Tensor]) -> Tensor:
-    """Images (B, ...) of which some are changed.
-
-    Args:
-        images: Left as they are.
-        drawn: (B,) on the CPU, so that no device is waited for; not 0 for those to change.
-        change: Makes the changed images from their numbers (K,) in the batch, which are on the CPU too.
-    """
-    chosen = drawn.nonzero().flatten()
-    return images.index_copy(0, chosen.to(images.device), change(chosen)) if len(chosen) else images
-
-
-def rays(intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
-    """Directions through the pixels, (B, 3, H, W), z = 1."""
-    return unproject(intrinsics.new_ones(len(intrinsics), *size), intrinsics).permute(0, 3, 1, 2)
 
 
 def haze(linear: Tensor, range_m: Tensor, extinction_per_m: Tensor, airlight: Tensor) -> Tensor:
@@ -95,6 +79,25 @@ def fog_extinction_per_m(visibility_m: float) -> float:
     return math.log(20) / visibility_m
 
 
+def lose_returns(
+    depth_m: Tensor, intrinsics: Tensor, extinction_per_m: Tensor, generator: torch.Generator | None = None
+) -> Tensor:
+    """What a scanner still measures through fog or rain, (B, 1, H, W) metres.
+
+    Its light has to go there and back. Drops being far larger than its wavelength, they dim it as they dim what we see
+    (Kim et al., SPIE 4214, 2001: no dependence on the wavelength below 500 m of visibility).
+
+    Args:
+        depth_m: Returns in clear air, (B, 1, H, W).
+        intrinsics: K (B, 3, 3).
+        extinction_per_m: (B,).
+        generator: Source of randomness, on the CPU.
+    """
+    range_m = depth_m * rays(intrinsics, (depth_m.shape[-2], depth_m.shape[-1])).norm(dim=1, keepdim=True)
+    luck = torch.rand(depth_m.shape, generator=generator).to(depth_m.device)
+    return depth_m * (luck < torch.exp(-2 * extinction_per_m[:, None, None, None] * range_m))
+
+
 def night(linear: Tensor, range_m: Tensor, directions: Tensor, daylight: Tensor, headlight_m: float) -> Tensor:
     """The scene with less daylight, lit by a car's low beam.
 
@@ -113,9 +116,18 @@ def night(linear: Tensor, range_m: Tensor, directions: Tensor, daylight: Tensor,
     return linear * (left * tint + (1 - left) * beam)
 
 
+class Sky(NamedTuple):
+    """The weather of each sample, (B,) on the CPU."""
+
+    extinction_per_m: Tensor  # of fog or rain; 0 in clear air
+    airlight: Tensor  # brightness of fog, in linear light
+    rain_mm_h: Tensor  # 0 = dry
+    daylight: Tensor  # share that is left; 1 = day
+
+
 @dataclass(frozen=True)
 class Weather:
-    """Fog, rain or night on some samples: more of them, and worse, as difficulty grows.
+    """Fog, rain or night on some samples: more of them, and worse, as difficulty grows; at 0 it is a clear day.
 
     Args:
         fog_share, rain_share, night_share: Share of samples at difficulty 1; together at most 1.
@@ -125,6 +137,8 @@ class Weather:
         exposure_s: Of the camera in rain: the longer, the longer and fainter the streaks.
         min_daylight: Share of daylight left in the darkest night, after the camera has adapted.
         headlight_m: Distance at which headlights replace daylight in full.
+        full_well_e: Electrons of a white pixel by day.
+        read_noise_e: Electrons.
 
     Raises:
         InputError: A share or a limit can't be meant.
@@ -139,76 +153,114 @@ class Weather:
     exposure_s: float = 0.003
     min_daylight: float = 0.02
     headlight_m: float = 8.0
+    full_well_e: float = 10_000.0
+    read_noise_e: float = 4.0
 
     def __post_init__(self) -> None:
         shares = (self.fog_share, self.rain_share, self.night_share)
         if not all(share >= 0 for share in shares) or sum(shares) > 1:
             raise InputError(f"weather: expected shares of at least 0 and together at most 1, got {shares}")
-        limits = (self.min_visibility_m, self.max_rain_mm_h, self.exposure_s, self.headlight_m, self.min_daylight)
+        air = self.min_visibility_m, self.max_rain_mm_h, self.exposure_s
+        dark = self.min_daylight, self.headlight_m, self.full_well_e, self.read_noise_e
         low, high = self.airlight
-        if not all(limit > 0 for limit in limits) or self.min_daylight > 1 or not 0 <= low <= high <= 1:
+        if not all(limit > 0 for limit in (*air, *dark)) or self.min_daylight > 1 or not 0 <= low <= high <= 1:
             raise InputError(
                 "weather: expected limits above 0, min_daylight up to 1 and airlight as two numbers from 0 to 1, "
                 f"the smaller first, got {self}"
             )
 
-    def __call__(
-        self, linear: Tensor, measurement: Measurement, difficulty: float, generator: torch.Generator | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """The scene in its weather.
-
-        Args:
-            linear: The measurement's picture in linear light, (B, 3, H, W).
-            measurement: With the truth.
-            difficulty: In [0, 1].
-            generator: Source of randomness, on the CPU.
-
-        Returns:
-            Linear light (B, 3, H, W), and the share of daylight that is left, (B,) on the CPU; 1 = day.
-        """
-        luck, severity = torch.rand(2, len(linear), generator=generator)
+    def draw(self, batch: int, difficulty: float, generator: torch.Generator | None = None) -> Sky:
+        """Some weather for each sample: fog, rain, night or none of them."""
+        luck, severity, bright = torch.rand(3, batch, generator=generator)
         edges = difficulty * torch.tensor([0.0, self.fog_share, self.rain_share, self.night_share]).cumsum(0)
         kinds = [(luck >= low) & (luck < high) for low, high in itertools.pairwise(edges)]
-        foggy, rainy, dark = (kind * difficulty * severity for kind in kinds)
+        fog, rain, dark = (kind * difficulty * severity for kind in kinds)
+        rain_mm_h = rain * self.max_rain_mm_h
+        low, high = self.airlight
+        return Sky(
+            extinction_per_m=fog * fog_extinction_per_m(self.min_visibility_m) + rain_extinction_per_m(rain_mm_h),
+            airlight=low + (high - low) * bright,
+            rain_mm_h=rain_mm_h,
+            daylight=self.min_daylight**dark,  # each step of severity takes the same share away
+        )
 
-        def seen(chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-            depth_m, intrinsics = measurement["truth_depth_m"][chosen], measurement["intrinsics"][chosen]
-            affine = measurement["truth_affine_rgb_from_depth"][chosen]
-            return linear[chosen], range_in_view(depth_m, affine, intrinsics), intrinsics
+    def __call__(
+        self,
+        measurement: Measurement,
+        difficulty: float,
+        generator: torch.Generator | None = None,
+        scanned: bool = False,
+    ) -> Measurement:
+        """The same measurement in some weather.
 
-        out = change_some(linear, foggy, lambda i: self._fog(*seen(i)[:2], foggy[i].to(linear.device), generator))
-        out = change_some(out, rainy, lambda i: self._rain(*seen(i), rainy[i].to(linear.device), generator))
-        daylight = self.min_daylight**dark  # each step of severity takes the same share away
-        return change_some(out, dark, lambda i: self._night(*seen(i), daylight[i].to(linear.device))), daylight
+        Args:
+            measurement: Of a clear day, with the truth.
+            difficulty: In [0, 1].
+            generator: Source of randomness, on the CPU.
+            scanned: Whether the depth was measured with light of the sensor's own, which fog swallows.
+        """
+        if difficulty == 0:
+            return measurement
+        rgb = measurement["rgb"]
+        sky = self.draw(len(rgb), difficulty, generator)
+        out = Measurement(**measurement)
+        out["rgb"] = change_some(rgb, sky.extinction_per_m, lambda i: self._through_air(measurement, sky, i, generator))
+        out["rgb"] = change_some(out["rgb"], 1 - sky.daylight, lambda i: self._at_night(measurement, sky, i, generator))
+        if scanned:
+            depth_m, intrinsics = measurement["depth_m"], measurement["intrinsics"]
+            extinction_per_m = sky.extinction_per_m.to(rgb.device)
+            out["depth_m"] = change_some(
+                depth_m,
+                sky.extinction_per_m,
+                lambda i: lose_returns(depth_m[i], intrinsics[i], extinction_per_m[i], generator),
+            )
+        return out
 
-    def _fog(self, linear: Tensor, range_m: Tensor, severity: Tensor, generator: torch.Generator | None) -> Tensor:
-        extinction_per_m = severity * fog_extinction_per_m(self.min_visibility_m)
-        airlight = self._airlight(linear, generator)
-        return haze(overcast(linear, extinction_per_m, airlight), range_m, extinction_per_m, airlight)
+    def _through_air(
+        self, measurement: Measurement, sky: Sky, chosen: Tensor, generator: torch.Generator | None
+    ) -> Tensor:
+        """The pictures of the chosen samples (K,) in fog or rain."""
+        linear, range_m, intrinsics = _seen(measurement, chosen)
+        extinction_per_m, airlight, rain_mm_h, _ = (values[chosen].to(linear.device) for values in sky)
+        hazy = haze(overcast(linear, extinction_per_m, airlight), range_m, extinction_per_m, airlight)
+        wet = change_some(
+            hazy,
+            sky.rain_mm_h[chosen],
+            lambda i: self._behind_streaks(hazy[i], intrinsics[i], rain_mm_h[i], airlight[i], generator),
+        )
+        return wet ** (1 / GAMMA)
 
-    def _rain(
+    def _behind_streaks(
         self,
         linear: Tensor,
-        range_m: Tensor,
         intrinsics: Tensor,
-        severity: Tensor,
+        rain_mm_h: Tensor,
+        airlight: Tensor,
         generator: torch.Generator | None,
     ) -> Tensor:
-        size, rate_mm_h = (linear.shape[-2], linear.shape[-1]), severity * self.max_rain_mm_h
-        airlight = self._airlight(linear, generator)
+        size = (linear.shape[-2], linear.shape[-1])
         slant = (torch.rand(len(linear), generator=generator) - 0.5).to(linear.device)
-        streaks = random_streaks(rate_mm_h, intrinsics, size, self.exposure_s, generator)
+        streaks = random_streaks(rain_mm_h, intrinsics, size, self.exposure_s, generator)
         points = math.ceil(_FASTEST_DROP_M_S * self.exposure_s * size[1])  # 1 m away, where the view is 1 m wide
         cover = draw_streaks(streaks, slant, size, points)
-        extinction_per_m = rain_extinction_per_m(rate_mm_h)
-        hazy = haze(overcast(linear, extinction_per_m, airlight), range_m, extinction_per_m, airlight)
         # A drop refracts light from all over the scene, sky included, whatever lies behind it.
-        return (1 - cover) * hazy + cover * airlight[:, None, None, None]
+        return (1 - cover) * linear + cover * airlight[:, None, None, None]
 
-    def _night(self, linear: Tensor, range_m: Tensor, intrinsics: Tensor, daylight: Tensor) -> Tensor:
+    def _at_night(
+        self, measurement: Measurement, sky: Sky, chosen: Tensor, generator: torch.Generator | None
+    ) -> Tensor:
+        """The pictures of the chosen samples (K,) after dusk, with the noise of a sensor that has less light."""
+        linear, range_m, intrinsics = _seen(measurement, chosen)
+        daylight = sky.daylight[chosen].to(linear.device)
         directions = rays(intrinsics, (linear.shape[-2], linear.shape[-1]))
-        return night(linear, range_m, directions, daylight, self.headlight_m)
+        dark = night(linear, range_m, directions, daylight, self.headlight_m)
+        noisy = sensor_noise(dark, self.full_well_e * daylight, self.read_noise_e, generator)
+        return noisy.clamp(0, 1) ** (1 / GAMMA)
 
-    def _airlight(self, linear: Tensor, generator: torch.Generator | None) -> Tensor:
-        low, high = self.airlight
-        return (low + (high - low) * torch.rand(len(linear), generator=generator)).to(linear.device)
+
+def _seen(measurement: Measurement, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The chosen samples (K,): linear light (K, 3, H, W), how far away it comes from (K, 1, H, W), and K (K, 3, 3)."""
+    intrinsics = measurement["intrinsics"][chosen]
+    affine = measurement["truth_affine_rgb_from_depth"][chosen]
+    range_m = range_in_view(measurement["truth_depth_m"][chosen], affine, intrinsics)
+    return measurement["rgb"][chosen] ** GAMMA, range_m, intrinsics

@@ -122,18 +122,20 @@ def test_with_an_offset_camera_difficulty_zero_is_the_identity(make_frames: Make
 def test_the_cameras_flaws_leave_all_but_its_picture_alone(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=6)
     perfect = SensorSimulator(Lidar(), MAX_SHIFT_PX)(frames, 1.0, generator())
-    color = ColorCamera(share=1.0, weather=Weather(1 / 3, 1 / 3, 1 / 3))
-    flawed = SensorSimulator(Lidar(), MAX_SHIFT_PX, color=color)(frames, 1.0, generator())
+    flawed_simulator = SensorSimulator(Lidar(), MAX_SHIFT_PX, color=ColorCamera(share=1.0))
+    flawed = flawed_simulator(frames, 1.0, generator())
     assert all(torch.equal(flawed[key], perfect[key]) for key in perfect.keys() - {"rgb"})
     assert (flawed["rgb"] != perfect["rgb"]).flatten(1).any(dim=1).all()
-    still = SensorSimulator(Lidar(), MAX_SHIFT_PX, color=color)(frames, 0.0, generator())
+    still = flawed_simulator(frames, 0.0, generator())
     assert torch.equal(still["rgb"], still["truth_rgb"])
 
 
 def test_the_structure_of_flawed_pictures_still_says_which_affine_is_true(make_frames: MakeFrames) -> None:
-    color = ColorCamera(share=0.5, weather=Weather(0.25, 0.25, 0.25))
     frames = with_offset_view(make_frames(batch=16))
-    measurement = SensorSimulator(Clean(), MAX_SHIFT_PX, offset_share=0.0, color=color)(frames, 1.0, generator())
+    simulator = SensorSimulator(
+        Clean(), MAX_SHIFT_PX, offset_share=0.0, color=ColorCamera(), weather=Weather(0.25, 0.25, 0.25)
+    )
+    measurement = simulator(frames, 1.0, generator())
     truth, off = measurement["truth_affine_rgb_from_depth"], torch.tensor([[0.0, 0, 1.5], [0, 0, 0]])
     for i in range(16):
         one = slice(i, i + 1)
@@ -176,8 +178,8 @@ def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
     sensor: DepthSensor, make_frames: MakeFrames
 ) -> None:
     frames = with_offset_view(make_frames(batch=3))
-    color = ColorCamera(share=0.7, weather=Weather(0.3, 0.3, 0.3))
-    simulator = SensorSimulator(sensor, MAX_SHIFT_PX, color=color)
+    weather = Weather(0.3, 0.3, 0.3)
+    simulator = SensorSimulator(sensor, MAX_SHIFT_PX, color=ColorCamera(share=0.7), weather=weather)
     together = simulate_each(simulator, frames, 0.8, seed=4)
     order = torch.tensor([2, 0])
     reordered = simulate_each(simulator, {key: value[order] for key, value in frames.items()}, 0.8, seed=4)

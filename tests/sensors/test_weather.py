@@ -11,9 +11,10 @@ from torch import Tensor
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.errors import InputError
 from depthreg.geometry import identity_affine, warp_affine
-from depthreg.sensors import Clean, ColorCamera, SensorSimulator, Weather
+from depthreg.sensors import Clean, Lidar, SensorSimulator, Weather
+from depthreg.sensors.color import rays
 from depthreg.sensors.rain import Streaks, draw_streaks, drops_per_m3, rain_extinction_per_m, random_streaks
-from depthreg.sensors.weather import fog_extinction_per_m, haze, night, overcast, range_in_view, rays
+from depthreg.sensors.weather import fog_extinction_per_m, haze, lose_returns, night, overcast, range_in_view
 
 MakeFrames = Callable[..., FrameBatch]
 SIZE = (37, 53)
@@ -77,7 +78,7 @@ def test_the_range_moves_with_the_colour_and_goes_on_at_the_border() -> None:
 def test_fog_on_the_misaligned_picture_is_fog_on_the_aligned_one(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=4, margin_px=9)
     pale = Weather(fog_share=1.0, rain_share=0.0, night_share=0.0, min_visibility_m=30.0)
-    simulator = SensorSimulator(Clean(), 80.0, color=ColorCamera(share=0.0, weather=pale))
+    simulator = SensorSimulator(Clean(), 80.0, weather=pale)
     misaligned = simulator(frames, 1.0, generator())
     still = SensorSimulator(Clean(), 80.0)(frames, 1.0, generator())
     assert torch.equal(misaligned["truth_affine_rgb_from_depth"], still["truth_affine_rgb_from_depth"])
@@ -159,33 +160,64 @@ def test_what_headlights_do_not_reach_is_dark_and_blue() -> None:
 
 
 def test_nights_are_noisy() -> None:
-    dark = ColorCamera(share=0.0, weather=always("night"))(measurement(20, 1000.0), 1.0, generator())
+    dark = always("night")(measurement(20, 1000.0), 1.0, generator())["rgb"]
     level, noise = dark.mean(dim=(1, 2, 3)), dark.diff(dim=-1).std(dim=(1, 2, 3))
     assert noise[level.argmin()] > 5 * noise[level.argmax()] > 0
 
 
 @pytest.mark.parametrize("kind", ["fog", "rain", "night"])
 def test_weather_gets_more_frequent_and_worse_with_difficulty(kind: str) -> None:
-    scenes = measurement(200)
-    weather, linear = Weather(**{**dict.fromkeys(("fog_share", "rain_share", "night_share"), 0.2)}), scenes["rgb"]
+    clear = measurement(200)
     shares, changes = [], []
     for difficulty in (0.3, 1.0):
-        mixed, _ = weather(linear, scenes, difficulty, generator())
-        shares.append((mixed != linear).flatten(1).any(dim=1).float().mean().item())
-        worst, _ = always(kind)(linear, scenes, difficulty, generator())
-        changes.append((worst - linear).abs().mean(dim=(1, 2, 3)).max())
+        mixed = Weather(0.2, 0.2, 0.2)(clear, difficulty, generator())["rgb"]
+        shares.append((mixed != clear["rgb"]).flatten(1).any(dim=1).float().mean().item())
+        worst = always(kind)(clear, difficulty, generator())["rgb"]
+        changes.append((worst - clear["rgb"]).abs().mean(dim=(1, 2, 3)).max())
     assert shares == pytest.approx([0.3 * 0.6, 0.6], abs=0.08)
     assert changes[1] > 1.3 * changes[0] > 0
 
 
+@pytest.mark.parametrize("weather", [Weather(), *map(always, ("fog", "rain", "night"))])
+def test_difficulty_zero_is_a_clear_day(weather: Weather) -> None:
+    clear = measurement(3)
+    clear["depth_m"] = clear["truth_depth_m"]
+    out = weather(clear, 0.0, generator(), scanned=True)
+    assert all(torch.equal(out[key], clear[key]) for key in clear)
+
+
 def test_a_sample_has_one_weather_at_most_and_clear_days_stay_as_they_are() -> None:
-    scenes = measurement(60)
-    kinds = [always(kind)(scenes["rgb"], scenes, 0.25, generator())[0] for kind in ("fog", "rain", "night")]
-    mixed, daylight = Weather(0.2, 0.2, 0.2)(scenes["rgb"], scenes, 1.0, generator())
-    assert all(torch.isfinite(image).all() for image in (*kinds, mixed))
-    changed = (mixed != scenes["rgb"]).flatten(1).any(dim=1)
-    assert 0 < (daylight < 1).sum() < changed.sum() < 60
-    assert (daylight[~changed] == 1).all()
+    clear = measurement(60)
+    weather = Weather(0.2, 0.2, 0.2)
+    sky = weather.draw(60, 1.0, generator())
+    foggy, rainy, dark = (sky.extinction_per_m > 0) & (sky.rain_mm_h == 0), sky.rain_mm_h > 0, sky.daylight < 1
+    for kind in (foggy, rainy, dark):
+        assert 4 < kind.sum() < 20
+    assert (foggy.int() + rainy.int() + dark.int()).max() == 1
+    rgb = weather(clear, 1.0, generator())["rgb"]
+    assert torch.isfinite(rgb).all() and rgb.min() >= 0 and rgb.max() <= 1
+    assert torch.equal((rgb != clear["rgb"]).flatten(1).any(dim=1), foggy | rainy | dark)
+    assert torch.equal(clear["rgb"], measurement(60)["rgb"])
+
+
+def test_a_scanners_light_is_dimmed_on_its_way_there_and_back() -> None:
+    depth_m, extinction = torch.full((1, 1, 301, 301), 10.0), torch.tensor([0.03])
+    narrow = torch.tensor([[[1e5, 0, 150], [0, 1e5, 150], [0, 0, 1]]])  # so that ranges are depths
+    left_m = lose_returns(depth_m, narrow, extinction, generator())
+    assert set(left_m.unique().tolist()) == {0.0, 10.0}
+    assert (left_m > 0).float().mean().item() == pytest.approx(np.exp(-2 * 0.03 * 10), abs=0.01)
+
+
+def test_fog_swallows_a_scanners_returns_and_no_one_elses(make_frames: MakeFrames) -> None:
+    frames = make_frames(batch=8)
+    for sensor, thinned in ((Lidar(), True), (Clean(), False)):
+        clear = SensorSimulator(sensor)(frames, 1.0, generator())["depth_m"]
+        foggy = SensorSimulator(sensor, weather=always("fog"))(frames, 1.0, generator())["depth_m"]
+        lost = (clear > 0) & (foggy == 0)
+        assert lost.any() == thinned
+        assert torch.equal(foggy[~lost], clear[~lost])
+        if thinned:
+            assert clear[lost].mean() > clear[foggy > 0].mean()  # the farther, the rarer
 
 
 @pytest.mark.parametrize(
