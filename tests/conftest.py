@@ -67,11 +67,13 @@ class FormulaFrames(Dataset[dict[str, Any]]):
         depth_m = (6 + 4 * waves[0] + 5 * y)[inner, inner].astype(np.float32)
         row, column = np.mgrid[: self.size : 4, : self.size : 3].reshape(2, -1)
         at_m, one = depth_m[row, column], np.ones(len(row))
+        ray = np.stack([(column - 31.5) / 60, (row - 31.5) / 60, one])
+        returns = [column, row, at_m, at_m, one, one, 0 * one, at_m, one, row, one, one, 0 * one]
         return {
             "rgb": np.rint(127.5 + 127.5 * np.stack(waves, axis=-1)).astype(np.uint8),
             "depth_m": depth_m,
             "intrinsics": np.array([[60, 0, 31.5], [0, 60, 31.5], [0, 0, 1]], np.float32),
-            "lidar": np.column_stack([column, row, at_m, at_m, one, one, 0 * one, at_m, one, row]).astype(np.float32),
+            "lidar": np.column_stack([*returns, *ray / np.linalg.norm(ray, axis=0)]).astype(np.float32),
             "baseline_m": np.float32(0.54),
             "index": index,
         }
