@@ -12,7 +12,8 @@ COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
     "evaluate": ("depthreg.evaluate", "score a checkpoint beside the classical baselines"),
     "complete": ("depthreg.complete", "complete and register your own files"),
     "gallery": ("depthreg.gallery", "see what each stage of the curriculum measures"),
-    "render": ("depthreg.render", "look at the synthetic worlds"),
+    "render": ("depthreg.render", "write a data set of a synthetic world"),
+    "pack": ("depthreg.pack", "put such a data set into tar files to stream from"),
 }
 
 

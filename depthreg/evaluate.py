@@ -53,6 +53,8 @@ def check(config: DictConfig) -> None:
     Raises:
         InputError: A value is missing or can't be meant, or the checkpoint or the data set can't be read.
     """
+    if config.data.name in ("rendered", "streaming"):
+        raise InputError(f"data={config.data.name} is to train on: expected one of synthetic, kitti, folder, ...")
     missing = sorted(OmegaConf.missing_keys(config))
     if missing:
         raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")

@@ -21,6 +21,8 @@ from depthreg.callbacks import DifficultyRamp
 from depthreg.checkpoint import load_weights, read_checkpoint
 from depthreg.config import build, build_simulator, require_counts, require_positive, run_application
 from depthreg.data.datamodule import FramesDataModule, RenderedDataModule, SyntheticDataModule
+from depthreg.data.rendered import FolderStore, Store, folders_in, of_world
+from depthreg.data.streaming import TarStore, urls_in
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
@@ -51,10 +53,8 @@ def check(config: DictConfig) -> None:
     require_counts(config, ["seed", "data.workers"], at_least=0)
     require_counts(config, ["data.width", "data.height"], at_least=64)
     if config.data.name not in _DATA_MODULES:
-        raise InputError(
-            f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected one of "
-            f"{', '.join(_DATA_MODULES)}"
-        )
+        choices = ", ".join(f"data={name}" for name in _DATA_MODULES)
+        raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
     if config.resume and config.init_from:
         raise InputError("resume and init_from exclude each other: resume takes everything, init_from the weights only")
     if missing := OmegaConf.missing_keys(config):
@@ -149,11 +149,16 @@ def _synthetic_data(config: DictConfig, stage: DictConfig, simulator: SensorSimu
     )
 
 
-def _rendered_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
+def _stored_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
     data = config.data
+    world = cast(dict[str, Any], OmegaConf.to_container(stage.world, resolve=True))
+    store: Store
+    if data.name == "streaming":
+        store = TarStore(of_world(urls_in(data.url), data.url, world))
+    else:
+        store = FolderStore(of_world(folders_in(Path(data.root)), data.root, world))
     return RenderedDataModule(
-        root=data.root,
-        world=cast(dict[str, Any], OmegaConf.to_container(stage.world, resolve=True)),
+        store=store,
         rig=simulator.rig,
         max_corner_shift_px=simulator.max_corner_shift_px,
         val_share=data.val_share,
@@ -164,7 +169,7 @@ def _rendered_data(config: DictConfig, stage: DictConfig, simulator: SensorSimul
     )
 
 
-_DATA_MODULES = {"synthetic": _synthetic_data, "rendered": _rendered_data}
+_DATA_MODULES = {"synthetic": _synthetic_data, "rendered": _stored_data, "streaming": _stored_data}
 
 
 def train_stage(config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None) -> None:

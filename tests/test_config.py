@@ -32,7 +32,9 @@ def every_choice() -> list[tuple[str, str, str]]:
 def test_every_choice_of_every_group_composes(name: str, group: str, choice: str) -> None:
     needed = [] if (group, choice) == ("data", "synthetic") else NEEDED[name]
     if group == "data" and name == "train":
-        needed = [] if choice == "synthetic" else ["data.root=x"]
+        needed = {"synthetic": [], "streaming": ["data.url=x"]}.get(choice, ["data.root=x"])
+    if (name, group, choice) == ("evaluate", "data", "streaming"):
+        needed = ["checkpoint=x", "data.url=x"]
     config = compose_config(name, [f"{group}={choice}", *needed, *ONLY_WITH.get((group, choice), [])])
     assert OmegaConf.to_container(config, resolve=True)
 

@@ -141,7 +141,8 @@ def test_stored_frames_teach_what_frames_rendered_anew_do(curriculum: Path, trai
     [
         (["data=rendered"], "data.root is missing"),
         (["data=rendered", "data.root=nowhere"], "nowhere holds no dataset.json"),
-        (["data=kitti", "data.root=x"], "expected one of synthetic, rendered"),
+        (["data=streaming", "data.url=nowhere"], "nowhere holds no dataset.json"),
+        (["data=kitti", "data.root=x"], "expected data=synthetic, data=rendered, data=streaming"),
     ],
 )
 def test_data_that_cannot_be_trained_on_is_refused(

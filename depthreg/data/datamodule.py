@@ -1,6 +1,6 @@
 """Training and validation frames for one stage."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,7 @@ import lightning as L
 import torch
 from torch.utils.data import DataLoader, Sampler
 
-from depthreg.data.rendered import RenderedFrames, find_world, split
+from depthreg.data.rendered import RenderedFrames, Store, split
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
 from depthreg.errors import InputError
 from depthreg.rendering import Renderer, Rig
@@ -128,21 +128,19 @@ class RenderedDataModule(FramesDataModule):
     """Frames that `depthreg render` wrote: the first of a data set for training, its last ones for validation.
 
     Args:
-        root: A data set, or a folder with one for each world.
-        world: Configuration of the world that is asked for.
+        store: A folder, or tar files anywhere.
         rig: What the sensor simulator needs.
         max_corner_shift_px: Largest misalignment that the colour's margin has to serve.
         val_share: Share of the frames that are for validation.
         batch_size, workers, seed, max_depth_m: As for `SyntheticDataModule`.
 
     Raises:
-        InputError: There is no such data set, it isn't complete, or it lacks what is needed.
+        InputError: The frames lack what is needed, or are too few.
     """
 
     def __init__(
         self,
-        root: str | Path,
-        world: Mapping[str, Any],
+        store: Store,
         rig: Rig,
         max_corner_shift_px: float,
         val_share: float,
@@ -151,9 +149,8 @@ class RenderedDataModule(FramesDataModule):
         seed: int = 0,
         max_depth_m: float = 120.0,
     ) -> None:
-        folder = find_world(Path(root), world)
         train, val = (
-            RenderedFrames(folder, indices, rig, max_corner_shift_px, max_depth_m)
-            for indices in split(folder, val_share)
+            RenderedFrames(store, indices, rig, max_corner_shift_px, max_depth_m)
+            for indices in split(store.description["config"]["count"], val_share)
         )
         super().__init__(train, val, batch_size, workers, seed)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from depthreg.data import io
+from depthreg.data.memory import MemoryFile, MemoryFolder
 from depthreg.data.sample import Frame, LidarColumns, LidarReturns, OffsetView
 from depthreg.errors import InputError
 from depthreg.rendering.rig import Rig
@@ -100,7 +101,7 @@ def _calibration(frame: Frame, scene: Scene, depth_scale: float) -> dict[str, An
     }
 
 
-def read_frame(folder: Path, rig: Rig | None = None) -> Frame:
+def read_frame(folder: Path | MemoryFolder, rig: Rig | None = None) -> Frame:
     """Read what `write_frame` wrote; colours, returns and calibration are exact, the rest is to its 16 bits.
 
     Args:
@@ -133,15 +134,15 @@ def read_frame(folder: Path, rig: Rig | None = None) -> Frame:
     )
 
 
-def _read_plane(path: Path, scale: float) -> np.ndarray:
+def _read_plane(path: Path | MemoryFile, scale: float) -> np.ndarray:
     return (io.read_png(path) / np.float64(scale)).astype(np.float32)
 
 
-def _read_normal(path: Path) -> np.ndarray:
+def _read_normal(path: Path | MemoryFile) -> np.ndarray:
     return io.read_png(path).astype(np.float32) / _NORMAL_SCALE - 1
 
 
-def _read_lidar(path: Path) -> LidarReturns:
+def _read_lidar(path: Path | MemoryFile) -> LidarReturns:
     vertices = io.read_ply_vertices(path)
     columns = {}
     for field in fields(LidarReturns):
@@ -150,5 +151,5 @@ def _read_lidar(path: Path) -> LidarReturns:
     return LidarReturns(**columns)
 
 
-def _read_offset(folder: Path, calibration: dict[str, Any]) -> OffsetView:
+def _read_offset(folder: Path | MemoryFolder, calibration: dict[str, Any]) -> OffsetView:
     return OffsetView(io.read_png(folder / "rgb_offset.png"), np.array(calibration["rgb_offset_from_depth"]))

@@ -18,6 +18,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
+from depthreg.data.memory import MemoryFile
 from depthreg.errors import InputError
 
 RGB_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -89,7 +90,7 @@ def _check_suffix(path: Path, suffixes: tuple[str, ...], what: str) -> None:
         raise InputError(f"{path} is not a {what} of a known kind: one of {', '.join(suffixes)} was expected")
 
 
-def _decode(path: Path, flags: int) -> np.ndarray:
+def _decode(path: Path | MemoryFile, flags: int) -> np.ndarray:
     """Decode an image file; OpenCV's own complaints would only repeat ours, so they are silenced."""
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -239,7 +240,7 @@ def write_json(path: Path, content: Any) -> None:
         temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path | MemoryFile) -> Any:
     """Read a JSON file.
 
     Raises:
@@ -253,7 +254,7 @@ def read_json(path: Path) -> Any:
         raise InputError(f"{path} can't be decoded: intact JSON was expected") from error
 
 
-def read_png(path: Path) -> np.ndarray:
+def read_png(path: Path | MemoryFile) -> np.ndarray:
     """Read a PNG as it is stored: (H, W, 3) RGB or (H, W), of uint8 or uint16."""
     stored = _decode(path, cv2.IMREAD_UNCHANGED)
     return cv2.cvtColor(stored, cv2.COLOR_BGR2RGB) if stored.ndim == 3 else stored
@@ -288,7 +289,7 @@ def write_ply_vertices(path: Path, vertices: np.ndarray) -> None:
         temporary.write_bytes("\n".join([*lines, ""]).encode() + vertices.tobytes())
 
 
-def read_ply_vertices(path: Path) -> np.ndarray:
+def read_ply_vertices(path: Path | MemoryFile) -> np.ndarray:
     """Read what `write_ply_vertices` wrote, as a structured array (N,).
 
     Raises:

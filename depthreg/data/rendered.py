@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from torch.utils.data import Dataset
@@ -19,6 +19,7 @@ from torch.utils.data import Dataset
 from depthreg import __version__
 from depthreg.data import io
 from depthreg.data.frame_files import FILES, read_frame
+from depthreg.data.memory import MemoryFolder
 from depthreg.data.synthetic import SyntheticFrames, code_of, pack, pack_rng
 from depthreg.errors import InputError
 from depthreg.rendering import Rig
@@ -27,6 +28,8 @@ from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, margin_for
 DESCRIPTION, MANIFEST, OVERVIEW = "dataset.json", "manifest.sha256", "overview.png"
 _CHECKSUMS = "files.sha256"  # of one frame
 _FORMAT = 1
+
+Place = TypeVar("Place")
 
 
 def frame_name(index: int) -> str:
@@ -174,45 +177,81 @@ def manifest_lines(folder: Path) -> list[str]:
         ) from error
 
 
-def find_world(root: Path, world: Mapping[str, Any]) -> Path:
-    """The data set of a world: `root` itself, or one folder in it.
+class Store(Protocol):
+    """Where the frames of a finished data set are."""
+
+    name: str  # for messages
+    description: dict[str, Any]  # dataset.json
+
+    def frame(self, index: int) -> Path | MemoryFolder:
+        """The files of one frame."""
+
+
+class FolderStore:
+    """A finished data set, as `depthreg render` left it.
 
     Args:
-        root: A data set, or a folder of data sets.
+        folder: Of the data set.
+
+    Raises:
+        InputError: It isn't complete.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.name = folder, str(folder)
+        self.description = read_description(folder)
+        manifest_lines(folder)
+
+    def frame(self, index: int) -> Path:
+        """The folder of one frame."""
+        return self.folder / frame_name(index)
+
+
+def folders_in(root: Path) -> dict[Path, dict[str, Any]]:
+    """The descriptions of the data sets that are `root` itself or folders in it."""
+    places = [path.parent for path in sorted([*root.glob(DESCRIPTION), *root.glob(f"*/{DESCRIPTION}")])]
+    return {place: read_description(place) for place in places}
+
+
+def of_world(descriptions: Mapping[Place, dict[str, Any]], root: str, world: Mapping[str, Any]) -> Place:
+    """The place of the one data set of a world.
+
+    Args:
+        descriptions: `dataset.json` by place.
+        root: What was searched, for messages.
         world: The world's configuration, as it stands in `dataset.json`.
 
     Raises:
         InputError: None is there, or several are.
     """
-    candidates = [path.parent for path in sorted([*root.glob(DESCRIPTION), *root.glob(f"*/{DESCRIPTION}")])]
-    if not candidates:
+    if not descriptions:
         raise InputError(
-            f"{root} holds no {DESCRIPTION}: a data set of `depthreg render`, or a folder of such, was expected"
+            f"{root} holds no {DESCRIPTION}: a data set, or a folder with one for each world, was expected"
         )
-    fitting = [path for path in candidates if read_description(path)["config"]["world"] == world]
+    fitting = [place for place, description in descriptions.items() if description["config"]["world"] == world]
     if len(fitting) != 1:
         kind = world.get("_target_", "").rpartition(".")[2]
         raise InputError(f"{root} holds {len(fitting) or 'no'} data sets of the world {kind}: one was expected")
     return fitting[0]
 
 
-def check_holds(folder: Path, rig: Rig, max_corner_shift_px: float) -> None:
+def check_holds(store: Store, rig: Rig, max_corner_shift_px: float) -> None:
     """Check that the frames of a data set hold what a sensor simulator needs.
 
     Args:
-        folder: Of the data set.
+        store: Of the data set.
         rig: What the depth sensor needs.
         max_corner_shift_px: Largest misalignment that the colour's margin has to serve, for an image 1242 pixels wide.
 
     Raises:
         InputError: They don't; the sentence says how to render others.
     """
-    holds, needs = read_description(folder)["holds"], _needs(rig)
+    holds, needs = store.description["holds"], _needs(rig)
     shift_px = max_corner_shift_px * holds["width"] / REFERENCE_WIDTH_PX
     margin_px = margin_for(shift_px) if shift_px else 0
     if holds["margin_px"] < margin_px:
         raise InputError(
-            f"{folder} holds colour with a margin of {holds['margin_px']} px, but the misalignment needs {margin_px}: "
+            f"{store.name} holds colour with a margin of {holds['margin_px']} px, but misalignment needs {margin_px}: "
             "expected frames of `depthreg render` with a larger camera.margin_px or camera.max_corner_shift_px"
         )
     lacking = {
@@ -223,7 +262,7 @@ def check_holds(folder: Path, rig: Rig, max_corner_shift_px: float) -> None:
     for what, lacks in lacking.items():
         if lacks:
             raise InputError(
-                f"{folder} lacks {what}: expected frames of `depthreg render` with the sensor= and offset= of the stage"
+                f"{store.name} lacks {what}: expected frames of `depthreg render` with the stage's sensor= and offset="
             )
 
 
@@ -231,23 +270,22 @@ class RenderedFrames(Dataset[dict[str, Any]]):
     """Some frames of a rendered data set, as `SyntheticFrames` would give them if it rendered them anew.
 
     Args:
-        folder: Of the data set.
+        store: Where they are.
         indices: Which frames.
         rig: What the sensor simulator needs.
         max_corner_shift_px: Largest misalignment that the colour's margin has to serve, for an image 1242 pixels wide.
         max_depth_m: Depth beyond this is unknown (0).
 
     Raises:
-        InputError: The data set isn't complete, or it lacks what is needed.
+        InputError: They lack what is needed.
     """
 
     def __init__(
-        self, folder: Path, indices: Sequence[int], rig: Rig, max_corner_shift_px: float, max_depth_m: float
+        self, store: Store, indices: Sequence[int], rig: Rig, max_corner_shift_px: float, max_depth_m: float
     ) -> None:
-        manifest_lines(folder)
-        check_holds(folder, rig, max_corner_shift_px)
-        self.folder, self.indices, self.rig, self.max_depth_m = folder, indices, rig, max_depth_m
-        self.seed = read_description(folder)["config"]["seed"]
+        check_holds(store, rig, max_corner_shift_px)
+        self.store, self.indices, self.rig, self.max_depth_m = store, indices, rig, max_depth_m
+        self.seed = store.description["config"]["seed"]
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -255,17 +293,16 @@ class RenderedFrames(Dataset[dict[str, Any]]):
     def __getitem__(self, number: int) -> dict[str, Any]:
         """What the simulator needs of a frame, as NumPy arrays; see `collate_frames`."""
         index = self.indices[number]
-        frame = read_frame(self.folder / frame_name(index), self.rig)
+        frame = read_frame(self.store.frame(index), self.rig)
         return {**pack(frame, self.rig, pack_rng(self.seed, index), self.max_depth_m), "index": index}
 
 
-def split(folder: Path, val_share: float) -> tuple[range, range]:
-    """The first frames of a data set, to train on, and its last ones, to validate on.
+def split(count: int, val_share: float) -> tuple[range, range]:
+    """The first of so many frames, to train on, and its last ones, to validate on.
 
     Raises:
         InputError: One of the two would be empty.
     """
-    count = read_description(folder)["config"]["count"]
     first = count - round(val_share * count)
     if not 0 < first < count:
         raise InputError(f"val_share={val_share:g} of {count} frames leaves none to train or none to validate on")

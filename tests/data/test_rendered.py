@@ -17,7 +17,7 @@ from depthreg.cli import main
 from depthreg.config import compose_config
 from depthreg.data import io, rendered
 from depthreg.data.frame_files import FILES, read_frame, write_frame
-from depthreg.data.rendered import RenderedFrames
+from depthreg.data.rendered import FolderStore, RenderedFrames, folders_in, of_world
 from depthreg.data.sample import Frame, LidarReturns
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames
 from depthreg.errors import InputError
@@ -167,7 +167,7 @@ RIGS = {
 def test_an_item_is_the_one_that_is_rendered_anew(kind: str, dataset: Path, anew: SyntheticFrames) -> None:
     rig = RIGS[kind]
     direct = SyntheticFrames(anew.world, anew.camera, rig | Rig(scans=(hdl64(),)), anew.seed, 5, max_depth_m=60)
-    stored = RenderedFrames(dataset, range(2, 5), rig, 24.0, max_depth_m=60)
+    stored = RenderedFrames(FolderStore(dataset), range(2, 5), rig, 24.0, max_depth_m=60)
     expected, item = direct[3], stored[1]
     assert item.keys() == expected.keys()
     if kind == "clean":  # the data set's returns do no harm
@@ -193,40 +193,43 @@ def test_what_the_frames_lack_for_a_sensor_is_one_sentence(
     rig: Rig, max_corner_shift_px: float, said: str, dataset: Path
 ) -> None:
     with pytest.raises(InputError, match=said) as refusal:
-        RenderedFrames(dataset, range(5), rig, max_corner_shift_px, 120.0)
+        RenderedFrames(FolderStore(dataset), range(5), rig, max_corner_shift_px, 120.0)
     assert str(dataset) in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def test_an_incomplete_data_set_is_refused(copied: Path) -> None:
     (copied / "manifest.sha256").unlink()
     with pytest.raises(InputError, match="complete"):
-        RenderedFrames(copied, range(5), Rig(), 24.0, 120.0)
+        FolderStore(copied)
 
 
-def test_the_last_frames_are_for_validation(dataset: Path) -> None:
-    assert rendered.split(dataset, 0.2) == (range(4), range(4, 5))
+def test_the_last_frames_are_for_validation() -> None:
+    assert rendered.split(5, 0.2) == (range(4), range(4, 5))
     for share in (0, 1):
         with pytest.raises(InputError, match="val_share"):
-            rendered.split(dataset, share)
+            rendered.split(5, share)
 
 
 def test_the_data_set_of_a_world_is_found(dataset: Path, copied: Path) -> None:
-    world = {"_target_": "depthreg.worlds.BlocksWorld"}
-    assert rendered.find_world(dataset, world) == rendered.find_world(dataset.parent, world) == dataset
+
+    def find(root: Path, name: str) -> Path:
+        return of_world(folders_in(root), str(root), {"_target_": f"depthreg.worlds.{name}"})
+
+    assert find(dataset, "BlocksWorld") == find(dataset.parent, "BlocksWorld") == dataset
     with pytest.raises(InputError, match="no data sets of the world DrivingWorld"):
-        rendered.find_world(dataset, {"_target_": "depthreg.worlds.DrivingWorld"})
+        find(dataset, "DrivingWorld")
     shutil.copytree(dataset, copied.parent / "another")
     with pytest.raises(InputError, match="2 data sets"):
-        rendered.find_world(copied.parent, world)
+        find(copied.parent, "BlocksWorld")
     with pytest.raises(InputError, match="holds no"):
-        rendered.find_world(dataset / "000000", world)
+        find(dataset / "000000", "BlocksWorld")
 
 
 @pytest.mark.parametrize("name", ["rgb.png", "depth.png", "lidar.ply", "calibration.json"])
 @pytest.mark.parametrize("damage", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:40])])
 def test_a_missing_or_cut_file_is_named(name: str, damage: Callable[[Path], Any], copied: Path) -> None:
     damage(copied / "000001" / name)
-    frames = RenderedFrames(copied, range(5), Rig(), 24.0, 120.0)
+    frames = RenderedFrames(FolderStore(copied), range(5), Rig(), 24.0, 120.0)
     with pytest.raises(InputError, match=f"000001/{name}"):
         frames[1]
 
