@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from torch import Tensor
 
 from depthreg.data.sample import FrameBatch, LidarColumns
 
@@ -45,6 +46,33 @@ def make_frames() -> MakeFrames:
             baseline_m=torch.full((batch,), 0.54),
             index=torch.arange(batch) + 5,
             disparity_px=matched_px * (torch.sin(0.2 * column - 0.3 * row) < 0.7),  # with stripes without an answer
+            normal=torch.tensor([0.0, 0, -1])[:, None, None].expand(batch, 3, height, width).clone(),
+            albedo=torch.full_like(depth_m, 0.5),
+            gloss=torch.full_like(depth_m, 0.1),
+        )
+
+    return make
+
+
+@pytest.fixture
+def make_surface() -> MakeFrames:
+    """Frames of a given depth (B, 1, H, W), all facing the camera, seen so far away that its rays are parallel."""
+
+    def make(depth_m: Tensor, albedo: float = 1.0, gloss: float = 0.0, focal_px: float = 1e5) -> FrameBatch:
+        batch, _, height, width = depth_m.shape
+        center = [(width - 1) / 2, (height - 1) / 2]
+        return FrameBatch(
+            rgb=torch.zeros(batch, 3, height, width, dtype=torch.uint8),
+            depth_m=depth_m,
+            intrinsics=torch.tensor([[focal_px, 0, center[0]], [0, focal_px, center[1]], [0, 0, 1]]).repeat(
+                batch, 1, 1
+            ),
+            lidar=torch.zeros(batch, 0, len(LidarColumns._fields)),
+            baseline_m=torch.full((batch,), 0.075),
+            index=torch.arange(batch),
+            normal=torch.tensor([0.0, 0, -1])[:, None, None].expand(batch, 3, height, width).clone(),
+            albedo=torch.full_like(depth_m, albedo),
+            gloss=torch.full_like(depth_m, gloss),
         )
 
     return make

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from depthreg.data.sample import FrameBatch
+from depthreg.errors import InputError
 from depthreg.sensors import Holes
 from depthreg.sensors.holes import random_patches
 
@@ -44,3 +45,17 @@ def test_a_patch_is_one_piece_with_holes_nowhere() -> None:
     for patch in random_patches(20, (61, 93), 1, 0.3, generator())[:, 0]:
         for row in patch:
             assert row.int().diff().abs().sum() <= 2  # an ellipse is convex
+
+
+def test_rough_outlines_stray_from_ellipses_and_cover_about_as_much() -> None:
+    smooth, rough = (random_patches(300, (61, 93), 1, 0.3, generator(), roughness) for roughness in (0.0, 0.8))
+    assert rough.float().mean().item() == pytest.approx(smooth.float().mean().item(), rel=0.25)
+    assert (smooth ^ rough).float().mean() > 0.1 * smooth.float().mean()
+    changes = rough.int().diff(dim=-1).abs().sum(dim=-1)
+    assert (changes > 2).any()  # rows that leave the patch and come back
+
+
+@pytest.mark.parametrize("wrong", [{"patches": -1}, {"missing_share": 1.5}, {"roughness": -0.1}])
+def test_holes_that_cannot_be_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=f"sensor.{next(iter(wrong))}="):
+        Holes(**wrong)

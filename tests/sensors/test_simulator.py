@@ -12,11 +12,31 @@ from depthreg.data.sample import FrameBatch
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.metrics import masked_ssim
 from depthreg.rendering import RandomOffset
-from depthreg.sensors import Clean, ColorCamera, Holes, Lidar, SensorSimulator, Stereo, Weather
+from depthreg.sensors import (
+    Chain,
+    Clean,
+    ColorCamera,
+    FeaturePoints,
+    Holes,
+    Lidar,
+    Mix,
+    RandomPoints,
+    SensorSimulator,
+    Stereo,
+    StructuredLight,
+    Tof,
+    Weather,
+)
 from depthreg.sensors.simulator import DepthSensor, augment, seeded_generator, simulate_each
 
 MakeFrames = Callable[..., FrameBatch]
-SENSORS = [Clean(), Holes(), Lidar(), Stereo()]
+MIX = Mix(
+    {"lidar": Lidar(), "points": RandomPoints(), "tof": Tof(max_range_m=99.0)}, {"lidar": 1, "points": 1, "tof": 1}
+)
+SENSORS = [
+    *(Clean(), Holes(), Lidar(), Stereo(), Tof(), StructuredLight(), FeaturePoints(), RandomPoints(), MIX),
+    Chain({"mix": MIX, "holes": Holes(missing_share=0.0)}),
+]
 MAX_SHIFT_PX = 80.0  # for 1242 px of width, so about 6 px here
 
 
