@@ -11,6 +11,8 @@ from collections import deque
 from functools import cache
 from itertools import repeat
 from pathlib import Path
+from threading import get_ident
+from typing import Any
 
 import numpy as np
 from embreex import rtcore_scene
@@ -30,11 +32,6 @@ _SIGNATURES = {  # result, arguments
     "rtcCommitGeometry": (None, _POINTER),
     "rtcAttachGeometry": (_UINT, _POINTER, _POINTER),
     "rtcReleaseGeometry": (None, _POINTER),
-    **{
-        f"rtc{query}{width}": (None, _POINTER, _POINTER, _POINTER, _POINTER)
-        for query in ("Intersect", "Occluded")
-        for width in (8, 16)
-    },
 }
 _WATERTIGHT = 1 << 2  # "robust": no ray slips through where two faces meet
 _TRIANGLES = 0
@@ -46,8 +43,8 @@ _BYTES = 4  # of all that a packet holds
 
 # Rows of a packet; each holds one number for each of its rays.
 _ORIGIN, _DIRECTION, _RANGE, _MASK, _FACE, _GEOMETRY = slice(0, 3), slice(4, 7), 8, 9, 17, 18
-_RAY_ROWS = 12
-_HIT_ROWS = 24  # builds of Embree differ in how many numbers of instances follow; none needs more
+_ROWS = 24  # builds of Embree differ in how many numbers of instances follow; none needs more
+_PACKETS = 1024  # traced at once: what fits a core's cache
 
 
 class _Arguments(ctypes.Structure):
@@ -75,15 +72,54 @@ def _embree() -> ctypes.PyDLL:
     for name, (result, *arguments) in _SIGNATURES.items():
         function = getattr(embree, name)
         function.restype, function.argtypes = result, arguments
+    for query in ("Intersect", "Occluded"):
+        for width in (8, 16):
+            getattr(embree, f"rtc{query}{width}").restype = None
     return embree
 
 
-def _aligned(shape: tuple[int, ...]) -> np.ndarray:
-    """Zeros, float32, that start where Embree's widest instructions can load from."""
-    size, align = int(np.prod(shape)), 64 // _BYTES
-    room = np.zeros(size + align, np.float32)
-    start = -(room.ctypes.data // _BYTES) % align
-    return room[start : start + size].reshape(shape)
+def _reference(address: int) -> Any:
+    """A pointer that ctypes passes on as it is: converting plain numbers takes half of a call's time."""
+    return ctypes.byref(ctypes.c_char.from_address(address))
+
+
+class _Packets:
+    """Room for packets of rays, and how Embree is told of each.
+
+    Args:
+        width: Rays in a packet.
+    """
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        rows = 1 + _PACKETS * _ROWS  # the first one says which lanes count: all
+        room = np.zeros(16 + rows * width, np.float32)
+        start = -(room.ctypes.data // _BYTES) % 16  # where Embree's widest instructions can load from
+        room = room[start:][: rows * width].reshape(rows, width)
+        room.view(np.int32)[0] = -1
+        self.numbers = room[1:].reshape(_PACKETS, _ROWS, width)
+        self.whole_numbers = self.numbers.view(np.int32)
+        self.whole_numbers[:, _MASK] = -1
+        self.lanes = _reference(room.ctypes.data)
+        self.references = [_reference(self.numbers.ctypes.data + k * self.numbers.strides[0]) for k in range(_PACKETS)]
+
+    def fill(self, rows: slice, values: np.ndarray) -> None:
+        """Write values (K, N) of N rays into K rows."""
+        whole, left_over = divmod(values.shape[1], self.width)
+        packed = values[:, : whole * self.width].reshape(len(values), whole, self.width)
+        self.numbers[:whole, rows] = packed.transpose(1, 0, 2)
+        if left_over:
+            self.numbers[whole, rows, :left_over] = values[:, whole * self.width :]
+
+    def read(self, numbers: np.ndarray, row: int, count: int) -> np.ndarray:
+        """A copy of a row's values for the first rays, (N,)."""
+        return numbers[: -(-count // self.width), row].flatten()[:count]
+
+
+@cache
+def _packets(width: int, thread: int) -> _Packets:
+    """A thread's own room, used again and again."""
+    return _Packets(width)
 
 
 class RayTree:
@@ -95,17 +131,14 @@ class RayTree:
     """
 
     def __init__(self, points: np.ndarray, corners: np.ndarray) -> None:
-        embree = self._embree = _embree()
+        embree = _embree()
         device = embree.rtcNewDevice(b"threads=1")  # frames are made in parallel, not parts of them
         self._scene = embree.rtcNewScene(device)
         weakref.finalize(self, _release, self._scene, device)
-        self._width = 16 if embree.rtcGetDeviceProperty(device, _PACKETS_OF_16_ARE_NATIVE) else 8
         # Embree reads these where they are, and four numbers for the three of a point.
         self._points = np.zeros((len(points) + 1, 3), np.float32)
         self._points[:-1] = points
         self._corners = np.ascontiguousarray(corners, np.uint32)
-        self._valid = _aligned((self._width,)).view(np.int32)
-        self._valid[:] = -1
         geometry = embree.rtcNewGeometry(device, _TRIANGLES)
         for kind, form, table, count in (
             (_VERTEX_BUFFER, _FLOAT3, self._points, len(points)),
@@ -120,6 +153,8 @@ class RayTree:
         error = embree.rtcGetDeviceError(device)
         if error:
             raise RuntimeError(f"Embree could not build a tree over {len(corners)} faces: its error {error}")
+        self._width = 16 if embree.rtcGetDeviceProperty(device, _PACKETS_OF_16_ARE_NATIVE) else 8
+        self._reference = _reference(self._scene)
 
     def first_hits(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What rays meet first; quick where neighbours in the list start and point about the same way.
@@ -131,55 +166,51 @@ class RayTree:
         Returns:
             Faces (N,) int32, -1 = none, and how many times its direction each ray goes, (N,) float32, inf = for ever.
         """
-        count = directions.shape[1]
-        packets = self._packets(directions, np.inf, _HIT_ROWS)
-        if origin.ndim == 1:
-            packets[:, _ORIGIN] = origin[:, None]
-        else:
-            self._fill(packets[:, _ORIGIN], origin)
-        numbers = packets.view(np.int32)
-        numbers[:, _FACE] = numbers[:, _GEOMETRY] = -1
-        self._trace("Intersect", packets)
-        return numbers[:, _FACE].reshape(-1)[:count], packets[:, _RANGE].reshape(-1)[:count]
+        packets, count = _packets(self._width, get_ident()), directions.shape[1]
+        faces, reaches = np.empty(count, np.int32), np.empty(count, np.float32)
+        starts = np.broadcast_to(origin.reshape(3, -1), directions.shape)
+        for part in self._parts(count):
+            packets.fill(_ORIGIN, starts[:, part])
+            packets.numbers[:, _RANGE] = np.inf
+            packets.whole_numbers[:, _FACE] = packets.whole_numbers[:, _GEOMETRY] = -1
+            self._trace("Intersect", packets, directions[:, part])
+            size = directions[:, part].shape[1]
+            faces[part] = packets.read(packets.whole_numbers, _FACE, size)
+            reaches[part] = packets.read(packets.numbers, _RANGE, size)
+        return faces, reaches
 
-    def blocked(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray | float) -> np.ndarray:
+    def blocked(self, origins: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> np.ndarray:
         """Whether anything is in the way, bool (N,).
 
         Args:
             origins: Where rays start, (3, N) float32.
             directions: (3, N) float32.
-            reach: How many times its direction each ray goes, (N,) float32 or one for all.
+            reach: How many times its direction each ray goes, (N,) float32.
         """
-        packets = self._packets(directions, reach, _RAY_ROWS)
-        self._fill(packets[:, _ORIGIN], origins)
-        self._trace("Occluded", packets)
-        return packets[:, _RANGE].reshape(-1)[: origins.shape[1]] < 0  # Embree's mark is -inf
+        packets = _packets(self._width, get_ident())
+        blocked = np.empty(len(reach), bool)
+        for part in self._parts(len(reach)):
+            packets.fill(_ORIGIN, origins[:, part])
+            packets.fill(slice(_RANGE, _RANGE + 1), reach[None, part])
+            self._trace("Occluded", packets, directions[:, part])
+            left = packets.read(packets.numbers, _RANGE, len(reach[part]))
+            blocked[part] = left < 0  # Embree's mark is -inf
+        return blocked
 
-    def _packets(self, directions: np.ndarray, reach: np.ndarray | float, rows: int) -> np.ndarray:
-        """Rays (3, N) in packets, (P, rows, width) float32; lanes left over in the last one go nowhere."""
+    def _parts(self, count: int) -> list[slice]:
+        at_once = _PACKETS * self._width
+        return [slice(start, start + at_once) for start in range(0, count, at_once)]
+
+    def _trace(self, query: str, packets: _Packets, directions: np.ndarray) -> None:
+        """Send rays (3, N) from where the packets say, as far as they say."""
         count = directions.shape[1]
-        packets = _aligned((-(-count // self._width), rows, self._width))
-        self._fill(packets[:, _DIRECTION], np.where(np.abs(directions) < _STRAIGHT, np.float32(0), directions))
-        reaches = np.broadcast_to(np.asarray(reach, np.float32), count)
-        self._fill(packets[:, _RANGE : _RANGE + 1], reaches[None])
-        packets[-1:, _RANGE, count - self._width * (len(packets) - 1) :] = -1
-        packets.view(np.int32)[:, _MASK] = -1
-        return packets
-
-    def _fill(self, rows: np.ndarray, values: np.ndarray) -> None:
-        """Write values (K, N) into rows (P, K, width) of packets."""
-        whole = values.shape[1] // self._width
-        rows[:whole] = values[:, : whole * self._width].reshape(len(values), whole, self._width).transpose(1, 0, 2)
-        rest = values[:, whole * self._width :]
-        rows[whole:, :, : rest.shape[1]] = rest
-
-    def _trace(self, query: str, packets: np.ndarray) -> None:
-        function = getattr(self._embree, f"rtc{query}{self._width}")
-        fixed = (repeat(ctypes.c_void_p(pointer)) for pointer in (self._valid.ctypes.data, self._scene))
-        start, size = packets.ctypes.data, packets[:1].nbytes
-        places = range(start, start + packets.nbytes, size or 1)
+        packets.fill(_DIRECTION, np.where(np.abs(directions) < _STRAIGHT, np.float32(0), directions))
+        used = -(-count // packets.width)
+        packets.numbers[used - 1, _RANGE, count - (used - 1) * packets.width :] = -1  # lanes that are left over
+        trace = getattr(_embree(), f"rtc{query}{packets.width}")
         # A loop without a line of Python in it: there are some 80,000 packets in a frame.
-        deque(map(function, *fixed, places, repeat(ctypes.addressof(_COHERENT))), maxlen=0)
+        fixed = repeat(packets.lanes), repeat(self._reference)
+        deque(map(trace, *fixed, packets.references[:used], repeat(ctypes.byref(_COHERENT))), maxlen=0)
 
 
 def _release(scene: int, device: int) -> None:

@@ -24,7 +24,7 @@ class _View:
     linear: np.ndarray  # (3, H, W) float32 linear light
     depth_m: np.ndarray  # (H, W) float32, 0 = sky
     face: np.ndarray  # (H, W) int32, -1 = sky
-    albedo: np.ndarray  # (H, W) float32, mean over colours; 0 in the sky, and in what wasn't shaded again
+    albedo: np.ndarray  # (H, W) float32, mean over colours; 0 in the sky, and in all of a right view
     gloss: np.ndarray  # (H, W) float32, likewise
     border_px: int
 
@@ -70,8 +70,9 @@ def render_frame(
         rgb=develop(left.linear, scene.light.exposure),
         margin_px=camera.margin_px,
         depth_m=_to_bins(_within_reach(left.inner(left.depth_m, camera)), scene.depth_bin_m),
-        object_id=np.where(face >= 0, surfaces.object_id[face], -1),
-        normal=_facing_normals(surfaces.normal, face, camera, rotation),
+        # The sky's face is number -1, the last one.
+        object_id=np.append(surfaces.object_id, np.int32(-1)).take(face),
+        normal=np.append(surfaces.normal.T @ rotation, np.zeros((1, 3), np.float32), axis=0).take(face, axis=0),
         albedo=np.where(face >= 0, left.inner(left.albedo, camera), 0),
         gloss=np.where(face >= 0, left.inner(left.gloss, camera), 0),
         intrinsics=camera.intrinsics,
@@ -120,7 +121,7 @@ def _look(
         left: Where given, this is the right camera; what the left one saw already isn't shaded again.
     """
     pixels = camera.rays(border_px)
-    height, width = pixels.shape[:2]
+    size, width = pixels.shape[:2], pixels.shape[1]
     pixels = pixels.reshape(-1, 3)
     baseline_m = camera.baseline_m or 0.0
     if position is None:
@@ -131,15 +132,15 @@ def _look(
     albedo, gloss = np.zeros((2, len(pixels)), np.float32)
     for start in range(0, len(pixels), _RAYS_AT_ONCE):
         part = slice(start, start + _RAYS_AT_ONCE)
-        rays = pixels[part] @ rotation.T
-        depth_per_m = 1 / np.sqrt(np.einsum("nk,nk->n", rays, rays))
-        rays *= depth_per_m[:, None]
-        hits = surfaces.cast(position, rays)
+        rays = rotation @ pixels[part].T  # (3, N)
+        depth_per_m = 1 / np.sqrt(np.einsum("kn,kn->n", rays, rays))
+        rays *= depth_per_m
+        hits = surfaces.cast(position, rays.T)
         face[part][hits.ray] = hits.face
         depth_m[part][hits.ray] = hits.range_m * depth_per_m.take(hits.ray)
         color = linear[:, part]
         missed = np.flatnonzero(face[part] < 0)
-        color[:, missed] = sky(light, rays.take(missed, axis=0).T)
+        color[:, missed] = sky(light, rays.take(missed, axis=1))
         if left is not None:
             row, column = np.divmod(hits.ray + start, width)
             disparity_px = camera.focal_px * baseline_m / depth_m[part].take(hits.ray)
@@ -148,9 +149,9 @@ def _look(
             color[:, hits.ray[known]] = same
             hits = hits.take(np.flatnonzero(~known))
         paint, polish = surfaces.albedo(hits, 1 / camera.focal_px)
-        albedo[part][hits.ray], gloss[part][hits.ray] = paint.mean(axis=0), polish
+        if left is None:
+            albedo[part][hits.ray], gloss[part][hits.ray] = paint.mean(axis=0), polish
         color[:, hits.ray] = shade(surfaces, light, hits, paint, polish)
-    size = (height, width)
     return _View(
         linear=linear.reshape(3, *size),
         depth_m=depth_m.reshape(size),
@@ -176,13 +177,6 @@ def _seen_before(view: _View, row: np.ndarray, column: np.ndarray, face: np.ndar
     linear = view.linear.reshape(3, -1)
     before = linear.take(index, axis=1)
     return known, before + weight * (linear.take(index + 1, axis=1) - before)
-
-
-def _facing_normals(normal: np.ndarray, face: np.ndarray, camera: Camera, rotation: np.ndarray) -> np.ndarray:
-    """Unit normals (H, W, 3) in camera coordinates, facing the camera; 0 in the sky."""
-    facing = (rotation.T @ normal)[:, face]  # (3, H, W)
-    facing *= -np.sign(np.einsum("khw,hwk->hw", facing, camera.rays())) * (face >= 0)
-    return np.ascontiguousarray(facing.transpose(1, 2, 0))
 
 
 def _to_bins(depth_m: np.ndarray, bin_m: float | None) -> np.ndarray:

@@ -37,7 +37,7 @@ def _mirrored(light: Light, hits: Hits, sunlight: np.ndarray) -> np.ndarray:
     # Houses and trees stand round every street, so the sky only begins some way up.
     open_sky = (3 * away[2] - 0.2).clip(0, 1)
     around = 0.25 * _column(light.ambient_rgb)
-    glint = 20 * (light.sun_direction.astype(np.float32) @ away).clip(0) ** 200 * (sunlight > 0)
+    glint = 20 * (light.sun_direction.astype(np.float32) @ away).clip(0.7) ** 200 * (sunlight > 0)
     return around + open_sky * (sky(light, away) - around) + glint * _column(light.sun_rgb)
 
 

@@ -47,7 +47,7 @@ class Surfaces:
     Attributes:
         tree: Embree's tree over all faces.
         origin_m: World position of the tables' origin, (3,).
-        normal: Unit normals in world axes, (3, F) float32.
+        normal: Unit normals in world axes that face the origin, (3, F) float32.
         object_id: (F,) int32.
         texture: What makes texture coordinates (in tiles) of a point, and brightness, (9, F) float32: axis and offset
             of u, axis and offset of v, brightness.
@@ -91,16 +91,17 @@ class Surfaces:
         """
         start = hits.point + _LIFT_M * hits.normal
         if light.lamp_m is None:
-            towards = np.broadcast_to(light.sun_direction.astype(np.float32)[:, None], start.shape)
-            reach_m = np.full(len(hits.ray), np.inf, dtype=np.float32)
-            strength = np.ones(1, dtype=np.float32)
+            towards = light.sun_direction.astype(np.float32)[:, None]
+            reach_m = np.full(1, np.inf, dtype=np.float32)
+            arriving = (towards[:, 0] @ hits.normal).clip(0)
         else:
             to_lamp = (light.lamp_m - self.origin_m).astype(np.float32)[:, None] - start
             reach_m = np.sqrt(np.einsum("kn,kn->n", to_lamp, to_lamp)).clip(_LIFT_M)
-            towards, strength = to_lamp / reach_m, (_LAMP_AT_M / reach_m) ** 2
-        arriving = strength * np.einsum("kn,kn->n", hits.normal, towards).clip(0)
-        facing = np.flatnonzero(arriving > 0)
-        shaded = self.tree.blocked(start.take(facing, axis=1), towards.take(facing, axis=1), reach_m.take(facing))
+            towards = to_lamp / reach_m
+            arriving = (_LAMP_AT_M / reach_m) ** 2 * np.einsum("kn,kn->n", hits.normal, towards).clip(0)
+        facing = np.flatnonzero(arriving)
+        towards, reach_m = np.broadcast_to(towards, start.shape), np.broadcast_to(reach_m, len(arriving))
+        shaded = self.tree.blocked(start.take(facing, axis=1), towards[:, facing], reach_m[facing])
         arriving[facing[shaded]] = 0
         return arriving
 
@@ -131,10 +132,11 @@ class Surfaces:
 def _texture_axes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit axes (F, 3) across and up each face; x and y on level ground."""
     level = np.abs(normal[:, 2]) > 0.98
-    across = np.stack([-normal[:, 1], normal[:, 0], np.zeros(len(normal))], axis=1)
-    across /= np.linalg.norm(across, axis=1, keepdims=True).clip(1e-9)
+    x, y, z = normal.T
+    steep = np.hypot(x, y).clip(1e-9)  # the cosine of the angle between `up` and upright
+    across = np.stack([-y / steep, x / steep, np.zeros_like(x)], axis=1)
     across[level] = [1.0, 0.0, 0.0]
-    up = np.cross(normal, across)
+    up = np.stack([-x * z / steep, -y * z / steep, steep], axis=1)
     up[level] = [0.0, 1.0, 0.0]
     return across, up
 
@@ -169,13 +171,14 @@ def merge(scene: Scene, origin_m: np.ndarray) -> Surfaces:
     a, b, c = points[corners.T]
     normal = np.cross(b - a, c - a)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(1e-12)
+    away = np.einsum("nk,nk->n", normal, a) > 0
     materials = [o.material for o in scene.objects]
     paint = np.array([(*m.color, *m.second_color, m.gloss) for m in materials], dtype=np.float32).T
     paint[3:6] -= paint[:3]
     return Surfaces(
         tree=RayTree(points, corners),
         origin_m=origin_m,
-        normal=np.ascontiguousarray(normal.T),
+        normal=np.where(away, -normal.T, normal.T),
         object_id=object_id,
         texture=_texture_table(normal, object_id, materials, origin_m),
         texels_per_m=np.array([TILE / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials], dtype=np.float32),

@@ -175,3 +175,11 @@ def test_a_view_of_nothing_but_sky_renders(make_scene: Callable[..., Scene]) -> 
     assert (frame.object_id == -1).all()
     assert len(frame.lidar.ring) == 0
     assert (frame.rgb[:18].mean(axis=(1, 2)) > 100).all()  # a clear sky is bright
+
+
+def test_faces_that_lie_along_the_line_of_sight_have_unit_normals_too(make_scene: Callable[..., Scene]) -> None:
+    # The camera stands in the plane of the box's side: of its normal's sign there, 0, no normal may be made.
+    box = trimesh.creation.box(bounds=[(0.0, 4.0, -3.0), (2.0, 9.0, 3.0)])
+    frame = _render(make_scene(box))
+    lengths = np.linalg.norm(frame.normal[frame.object_id >= 0], axis=-1)
+    np.testing.assert_allclose(lengths, 1, atol=1e-5)
