@@ -46,9 +46,8 @@ def _ray_slopes(frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """x / z (1, W) and y / z (H, 1) of a camera's pixels, float32."""
     height, width = frame.depth_m.shape
     focal, (u, v) = frame.intrinsics[0, 0], frame.intrinsics[:2, 2]
-    return (np.arange(width, dtype=np.float32) - u)[None] / focal, (np.arange(height, dtype=np.float32) - v)[
-        :, None
-    ] / focal
+    column, row = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+    return (column - u)[None] / focal, (row - v)[:, None] / focal
 
 
 def from_left(values: np.ndarray, frame: Frame, disparity_share: float = 1.0) -> np.ndarray:
@@ -113,6 +112,7 @@ class Projector:
     darkest: float = 0.02
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "ambient", tuple(self.ambient))  # a configuration's list has no hash, which rigs need
         low, high = self.ambient
         if not 0 < low <= high:
             raise InputError(f"ambient must be two positive numbers, the smaller first, got {list(self.ambient)}")

@@ -366,7 +366,7 @@ def test_values_that_cannot_be_meant_are_refused(make: Callable[[], object]) -> 
 def test_a_configured_sensor_measures_rendered_rooms(name: str) -> None:
     sensor = build(compose_config("evaluate", ["checkpoint=x", f"sensor={name}"]).sensor)
     camera = RandomCamera(width=161, height=119, focal_px=(130.0, 140.0))
-    frames = SyntheticFrames(HouseholdWorld(), camera, sensor.rig, seed=5, count=2, max_depth_m=12.0)
+    frames = SyntheticFrames(HouseholdWorld(), camera, SensorSimulator(sensor).rig, seed=5, count=2, max_depth_m=12.0)
     batch = collate_frames([frames[0], frames[1]])
     again = collate_frames([frames[0], frames[1]])
     assert torch.equal(batch["disparity_px"], again["disparity_px"])
