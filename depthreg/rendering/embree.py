@@ -93,9 +93,9 @@ class _Packets:
     def __init__(self, width: int) -> None:
         self.width = width
         rows = 1 + _PACKETS * _ROWS  # the first one says which lanes count: all
-        room = np.zeros(16 + rows * width, np.float32)
-        start = -(room.ctypes.data // _BYTES) % 16  # where Embree's widest instructions can load from
-        room = room[start:][: rows * width].reshape(rows, width)
+        memory = np.zeros(16 + rows * width, np.float32)
+        start = -(memory.ctypes.data // _BYTES) % 16  # where Embree's widest instructions can load from
+        room = memory[start:][: rows * width].reshape(rows, width)
         room.view(np.int32)[0] = -1
         self.numbers = room[1:].reshape(_PACKETS, _ROWS, width)
         self.whole_numbers = self.numbers.view(np.int32)
