@@ -14,43 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import torch
 from likeness import classifier, pictures
-from likeness.distances import between_halves, jensen_shannon, wasserstein
-from likeness.frames import DepthImage, real_lidar_frames, simulated_lidar_frames
+from likeness.depth_cameras import DEPTH_CAMERAS, DepthCamera, depth_samples, real_depth_frames
+from likeness.distances import compare
+from likeness.frames import DepthImage, real_lidar_frames, simulated_frames
 from likeness.lidar import lidar_samples
 from rich.console import Console
 from rich.table import Table
 
-
-def compare(real: Sequence[DepthImage], simulated: Sequence[DepthImage]) -> dict[str, dict[str, float]]:
-    """Means and distances of every statistic; each group of frames counts as much as every other.
-
-    Returns:
-        By statistic: means of the frames' means, Wasserstein-1 distance (`w1`) in the statistic's unit and
-        Jensen-Shannon divergence (`js`) in bits, both also between two halves of the real frames (`_floor`) and
-        between one drive and all other real frames (`_drives`).
-    """
-    samples = [lidar_samples(frame) for frame in real], [lidar_samples(frame) for frame in simulated]
-    groups = [f.group for f in real], [f.group for f in simulated]
-    one_drive = [s for s, g in zip(samples[0], groups[0], strict=True) if g == "odom_04"]
-    others = [(s, g) for s, g in zip(samples[0], groups[0], strict=True) if g != "odom_04"]
-    drives = one_drive, [s for s, _ in others]
-    drive_groups = ["odom_04"] * len(one_drive), [g for _, g in others]
-    rows = {}
-    for name in samples[0][0]:
-        rows[name] = {
-            "real": float(np.mean([s[name].mean() for s in samples[0] if len(s[name])])),
-            "simulated": float(np.mean([s[name].mean() for s in samples[1] if len(s[name])])),
-        }
-        for short, distance in (("w1", wasserstein), ("js", jensen_shannon)):
-            rows[name] |= {
-                short: distance(*samples, name, groups),
-                f"{short}_floor": between_halves(distance, samples[0], name, groups[0]),
-                f"{short}_drives": distance(*drives, name, drive_groups),
-            }
-    return rows
+from depthreg.worlds import DrivingWorld, HouseholdWorld
 
 
 def tell_apart(real: Sequence[DepthImage], simulated: Sequence[DepthImage], seeds: int) -> dict[str, dict[str, float]]:
@@ -65,9 +38,9 @@ def tell_apart(real: Sequence[DepthImage], simulated: Sequence[DepthImage], seed
 
 
 def print_distances(title: str, rows: dict[str, dict[str, float]]) -> None:
-    """Print one row a statistic."""
+    """Print one row a statistic; `halves` and `sources` are distances between real frames and real frames."""
     table = Table(title=title)
-    heads = ("", "real", "simulated", "W1", "real halves", "real drives", "JS, bit", "real halves", "real drives")
+    heads = ("", "real", "simulated", "W1", "halves", "sources", "JS, bit", "halves", "sources")
     for head in heads:
         table.add_column(head, justify="right" if head else "left")
     for name, row in rows.items():
@@ -83,26 +56,81 @@ def print_aucs(rows: dict[str, dict[str, float]], parameters: int) -> None:
     Console(width=125).print(table)
 
 
-def draw_lidar(real: Sequence[DepthImage], simulated: Sequence[DepthImage], path: Path) -> None:
-    """Three real frames of different places above three simulated ones, and the histograms."""
+def write_picture(
+    path: Path, real: list[DepthImage], simulated: list[DepthImage], max_m: float, **samples: Any
+) -> None:
+    """Real frames of different places above simulated ones, and the histograms below."""
     places = {frame.group: frame for frame in real}
-    chosen = [places[name] for name in sorted(places)][:: max(len(places) // 3, 1)][:3]
-    views = pictures.side_by_side(
-        [f.depth_m for f in chosen], [f.depth_m for f in simulated[:3]], size=(300, 620), max_m=80.0
+    count = min(3, len(places))
+    chosen = [places[name] for name in sorted(places)][:: max(len(places) // count, 1)][:count]
+    shown = [[f.depth_m for f in frames] for frames in (chosen, simulated[: len(chosen)])]
+    size = (min(f.shape[0] for f in shown[0] + shown[1]), min(620, *(f.shape[1] for f in shown[0] + shown[1])))
+    views = pictures.side_by_side(shown[0], shown[1], size=size, max_m=max_m)
+    histograms = pictures.draw_histograms(samples["real_samples"], samples["simulated_samples"], size=(130, 465))
+    cv2.imwrite(str(path), cv2.cvtColor(pictures.above_each_other(views, histograms), cv2.COLOR_RGB2BGR))
+
+
+def measure_lidar(root: Path, arguments: argparse.Namespace) -> dict[str, Any]:
+    """The LiDAR on streets: distances, and how well the classifier does."""
+    real = real_lidar_frames(root)
+    simulated = simulated_frames(
+        "hdl64",
+        DrivingWorld(),
+        [frame.camera for frame in real],
+        arguments.frames,
+        arguments.out / "frames",
+        difficulty=arguments.difficulty,
+        overrides=["min_lines=64", *arguments.sensor],
     )
     samples = [lidar_samples(frame) for frame in real], [lidar_samples(frame) for frame in simulated]
-    histograms = pictures.draw_histograms(*samples, size=(130, 465))
-    cv2.imwrite(str(path), cv2.cvtColor(pictures.above_each_other(views, histograms), cv2.COLOR_RGB2BGR))
+    write_picture(
+        arguments.out / "lidar.png", real, simulated, 80.0, real_samples=samples[0], simulated_samples=samples[1]
+    )
+    distances = compare(*samples, [frame.group for frame in real])
+    print_distances(f"LiDAR: {len(real)} real and {len(simulated)} simulated frames", distances)
+    aucs = tell_apart(real, simulated, arguments.seeds) if arguments.seeds else {}
+    print_aucs(aucs, sum(p.numel() for p in classifier.small_network().parameters()))
+    return {"real": len(real), "simulated": len(simulated), "distances": _known(distances), "auc": aucs}
+
+
+def measure_depth_camera(kind: DepthCamera, root: Path, arguments: argparse.Namespace) -> dict[str, Any]:
+    """A depth camera in rooms: distances alone, there are too few real frames for a classifier."""
+    real = real_depth_frames(root, kind)
+    simulated = simulated_frames(
+        kind.sensor,
+        HouseholdWorld(),
+        [kind.camera],
+        arguments.frames // 2,
+        arguments.out / "frames",
+        difficulty=arguments.difficulty,
+    )
+    samples = [depth_samples(frame) for frame in real], [depth_samples(frame) for frame in simulated]
+    path = arguments.out / f"{kind.sensor}.png"
+    write_picture(path, real, simulated, 5.0, real_samples=samples[0], simulated_samples=samples[1])
+    distances = compare(*samples, [frame.group for frame in real])
+    print_distances(f"{kind.sensor}: {len(real)} real and {len(simulated)} simulated frames", distances)
+    return {"real": len(real), "simulated": len(simulated), "distances": _known(distances)}
+
+
+def _known(rows: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Without what too few frames leave unknown: JSON has no NaN."""
+    return {name: {key: value for key, value in row.items() if value == value} for name, row in rows.items()}
 
 
 def main() -> None:
     """Measure, print, draw, and write what was measured."""
+    kinds = {kind.sensor: kind for kind in DEPTH_CAMERAS}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for pictures and rendered frames")
     parser.add_argument("--json", type=Path, help="file for the numbers")
-    parser.add_argument("--frames", type=int, default=48, help="how many frames to simulate")
-    parser.add_argument("--seeds", type=int, default=5, help="classifiers trained for each question")
-    parser.add_argument("--difficulty", type=float, default=1.0, help="of the sensor, from 0 to 1")
+    parser.add_argument(
+        "--frames", type=int, default=48, help="how many streets to simulate, and twice as many as rooms"
+    )
+    parser.add_argument("--seeds", type=int, default=5, help="classifiers trained for each question; 0 = none")
+    parser.add_argument("--difficulty", type=float, default=1.0, help="of the sensors, from 0 to 1")
+    parser.add_argument(
+        "--only", nargs="+", choices=["hdl64", *kinds], default=["hdl64", "active_stereo"], help="sensors"
+    )
     parser.add_argument("--sensor", nargs="*", default=[], metavar="KEY=VALUE", help="other settings of the LiDAR")
     arguments = parser.parse_args()
     root = Path(os.environ.get("DEPTHREG_REAL_DATA", Path(__file__).resolve().parents[2] / "shared/real"))
@@ -110,21 +138,12 @@ def main() -> None:
         parser.error(f"no real frames at {root}: set DEPTHREG_REAL_DATA to their folder")
     torch.set_num_threads(1)
     arguments.out.mkdir(parents=True, exist_ok=True)
-
-    real = real_lidar_frames(root)
-    simulated = simulated_lidar_frames(
-        [frame.camera for frame in real],
-        arguments.frames,
-        arguments.out / "frames",
-        difficulty=arguments.difficulty,
-        overrides=arguments.sensor,
-    )
-    draw_lidar(real, simulated, arguments.out / "lidar.png")
-    results: dict[str, Any] = {"frames": {"real": len(real), "simulated": len(simulated)}}
-    results["lidar"] = compare(real, simulated)
-    print_distances(f"LiDAR: {len(real)} real and {len(simulated)} simulated frames", results["lidar"])
-    results["auc"] = tell_apart(real, simulated, arguments.seeds)
-    print_aucs(results["auc"], sum(p.numel() for p in classifier.small_network().parameters()))
+    results = {}
+    for name in arguments.only:
+        if name == "hdl64":
+            results[name] = measure_lidar(root, arguments)
+        else:
+            results[name] = measure_depth_camera(kinds[name], root, arguments)
     if arguments.json:
         arguments.json.write_text(json.dumps(results, indent=2))
 

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 from torchmetrics.functional.classification import binary_auroc
 
-from likeness.frames import DepthImage
+from likeness.frames import DepthImage, fill_nearest
 
 PATCH_PX = (32, 64)
 _LEAST_RETURNS = 20
@@ -43,12 +42,6 @@ def small_network() -> nn.Sequential:
         nn.Flatten(),
         nn.Linear(6, 1),
     )
-
-
-def fill_nearest(depth_m: np.ndarray) -> np.ndarray:
-    """Every pixel gets the depth of the return nearest to it: depth without the pattern of the returns."""
-    nearest = distance_transform_edt(depth_m == 0, return_distances=False, return_indices=True)
-    return depth_m[tuple(nearest)]
 
 
 def cut_patches(frames: Sequence[DepthImage], seed: int, channels: str = "validity and depth") -> PatchSet:
@@ -117,7 +110,7 @@ def separability(first: PatchSet, second: PatchSet, seed: int, steps: int = 400)
         optimizer.step()
         schedule.step()
     with torch.no_grad():
-        score = network(torch.cat(test))[:, 0].sigmoid()
+        score = network.eval()(torch.cat(test))[:, 0].sigmoid()
     return float(binary_auroc(score, torch.cat([torch.zeros(len(test[0])), torch.ones(len(test[1]))]).long()))
 
 

@@ -1,25 +1,24 @@
-"""Real LiDAR frames and simulated ones of the same cameras.
+"""Real frames and simulated ones of the same cameras.
 
 Both are depth images with the camera that they belong to, so every statistic is taken in the same way from either.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from hydra.utils import instantiate
-from omegaconf import OmegaConf
+from scipy.ndimage import distance_transform_edt
 
-from depthreg.config import CONF_DIR
+from depthreg.config import build, compose_config
 from depthreg.data.synthetic import SyntheticFrames, SyntheticMeasurements
 from depthreg.rendering import Camera
 from depthreg.sensors import SensorSimulator
-from depthreg.worlds import DrivingWorld
+from depthreg.worlds.scene import Scene
 
 MAX_RANGE_M = 80.0  # no return of KITTI's recordings is farther
-SEED = 90210  # of the simulated streets; training draws other ones
+SEED = 90210  # of the simulated scenes; training draws other ones
 
 # The benchmark of depth completion: KITTI's first camera, cropped to the lower 352 rows and the central 1216 columns.
 _CROPPED = Camera(1216, 352, 721.5377, (609.5593 - 13, 172.854 - 23))
@@ -70,6 +69,12 @@ def real_lidar_frames(root: Path) -> list[DepthImage]:
     return frames
 
 
+def fill_nearest(depth_m: np.ndarray) -> np.ndarray:
+    """Every pixel gets the depth of the return nearest to it: depth without the pattern of the returns."""
+    nearest = distance_transform_edt(depth_m == 0, return_distances=False, return_indices=True)
+    return depth_m[tuple(nearest)]
+
+
 @dataclass(frozen=True)
 class OneOf:
     """Draws one of some cameras, as `RandomCamera` draws any."""
@@ -81,31 +86,32 @@ class OneOf:
         return self.cameras[rng.integers(len(self.cameras))]
 
 
-def simulated_lidar_frames(
+def simulated_frames(
+    sensor: str,
+    world: Callable[[int, int], Scene],
     cameras: Sequence[Camera],
     count: int,
     cache_dir: Path,
     *,
-    world: DrivingWorld | None = None,
     difficulty: float = 1.0,
     overrides: Sequence[str] = (),
 ) -> list[DepthImage]:
-    """Streets, seen by one of the real cameras each and measured by `conf/sensor/hdl64.yaml` with all its lines.
+    """Scenes of a world, each seen by one of the real cameras and measured by a sensor.
 
     Args:
+        sensor: Name of its configuration in `conf/sensor/`.
+        world: Draws a scene from a seed and an index.
         cameras: The real frames' cameras.
         count: How many frames.
         cache_dir: Keeps what was rendered; another version of the code renders anew.
-        world: The streets.
         difficulty: Of the sensor, in [0, 1].
-        overrides: Further `key=value` settings of the sensor.
+        overrides: Other settings of the sensor, `key=value`.
     """
-    config = OmegaConf.load(CONF_DIR / "sensor/hdl64.yaml")
-    given = OmegaConf.from_dotlist(["min_lines=64", *overrides])
-    sensor = instantiate(OmegaConf.merge(config, given))
-    pick = OneOf(tuple(dict.fromkeys(replace(camera, margin_px=0) for camera in cameras)))
-    rendered = SyntheticFrames(world or DrivingWorld(), pick, sensor.rig, SEED, count, MAX_RANGE_M, cache_dir)  # type: ignore[arg-type]
-    measured = SyntheticMeasurements(rendered, SensorSimulator(sensor, max_corner_shift_px=0), difficulty, SEED)
+    config = compose_config(f"sensor/{sensor}", [f"sensor.{setting}" for setting in overrides])
+    instrument = build(config.sensor)
+    pick = OneOf(tuple(dict.fromkeys(cameras)))
+    rendered = SyntheticFrames(world, pick, instrument.rig, SEED, count, MAX_RANGE_M, cache_dir)  # type: ignore[arg-type]
+    measured = SyntheticMeasurements(rendered, SensorSimulator(instrument, max_corner_shift_px=0), difficulty, SEED)
     frames = []
     for index in range(count):
         depth_m = measured[index]["depth_m"][0].numpy()

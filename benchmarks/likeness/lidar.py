@@ -11,8 +11,6 @@ from likeness.frames import DepthImage
 SEE_THROUGH_M = 1.5  # deeper than the neighbourhood's minimum by this: the usual outlier filter of KITTI's benchmark
 HOLE_PX = 5.0  # a pixel so far from every return lies in a hole
 _FLAT = 0.01  # a block is a plane where returns leave it by less than this share of their range
-_BLOCK_PX = (12, 24)  # rows and columns that share a plane: some 3 lines of 10 returns
-_LEAST_RETURNS = 12
 
 
 def image_elevation_deg(depth_m: np.ndarray, focal_px: float, center_row: float) -> np.ndarray:
@@ -67,7 +65,9 @@ def depth_steps(depth_m: np.ndarray, within_px: int = 4) -> np.ndarray:
     return np.abs(np.diff(np.log(depth_m[rows, columns])))[near]
 
 
-def plane_roughness_m(depth_m: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def plane_roughness_m(
+    depth_m: np.ndarray, rays: np.ndarray, block_px: tuple[int, int] = (12, 24), least: int = 12
+) -> tuple[np.ndarray, np.ndarray]:
     """How far returns scatter about the plane that fits their block of the image best.
 
     A plane that misses the camera is q . P = 1; least squares over the block's points P gives q, and the residual
@@ -76,6 +76,8 @@ def plane_roughness_m(depth_m: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
     Args:
         depth_m: (H, W).
         rays: Through the pixels with z = 1, (H, W, 3).
+        block_px: Rows and columns that share a plane: by default some 3 lines of 10 returns.
+        least: Fewest returns of a block.
 
     Returns:
         Root mean square distance of each block, unbiased for the plane's three parameters, and the mean depth of its
@@ -83,12 +85,12 @@ def plane_roughness_m(depth_m: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray
     """
     rows, columns = np.nonzero(depth_m > 0)
     points = (rays[rows, columns] * depth_m[rows, columns, None]).astype(float)
-    per_row = -(-depth_m.shape[1] // _BLOCK_PX[1])
-    block = rows // _BLOCK_PX[0] * per_row + columns // _BLOCK_PX[1]
+    per_row = -(-depth_m.shape[1] // block_px[1])
+    block = rows // block_px[0] * per_row + columns // block_px[1]
     count = np.bincount(block)
     moments = np.stack([np.bincount(block, a * b) for a in points.T for b in points.T], -1).reshape(-1, 3, 3)
     sums = np.stack([np.bincount(block, a) for a in points.T], -1)
-    enough = np.nonzero((count >= _LEAST_RETURNS) & (np.linalg.cond(moments + 1e-9 * np.eye(3)) < 1e9))[0]
+    enough = np.nonzero((count >= least) & (np.linalg.cond(moments + 1e-9 * np.eye(3)) < 1e9))[0]
     normal = np.zeros_like(sums)
     normal[enough] = np.linalg.solve(moments[enough], sums[enough, :, None])[..., 0]
     length = np.linalg.norm(normal, axis=1)

@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 import torch
 from likeness import classifier, pictures
-from likeness.distances import between_halves, jensen_shannon, wasserstein
+from likeness.depth_cameras import (
+    DEPTH_CAMERAS,
+    depth_samples,
+    depth_steps_mm,
+    hole_sizes_px,
+    real_depth_frames,
+    share_of_holes_at_edges,
+)
+from likeness.distances import between_halves, between_sources, compare, jensen_shannon, wasserstein
 from likeness.frames import DepthImage, real_lidar_frames
 from likeness.lidar import (
     depth_steps,
@@ -117,6 +125,52 @@ def test_halves_of_equal_frames_do_not_differ_and_are_split_by_group() -> None:
     assert between_halves(wasserstein, two, "x", list("aaabbb")) == pytest.approx(1)
 
 
+def test_the_longest_sequence_stands_against_the_rest() -> None:
+    frames = _samples([np.zeros(2)] * 3 + [np.full(2, 2.0), np.full(2, 4.0)])
+    assert between_sources(wasserstein, frames, "x", list("aaabc")) == pytest.approx(3)
+    assert np.isnan(between_sources(wasserstein, frames, "x", list("aaaaa")))
+
+
+def test_a_comparison_says_both_means_and_what_is_unknown() -> None:
+    row = compare(_samples([np.zeros(2), np.ones(4)]), _samples([np.full(3, 3.0)]), list("ab"))["x"]
+    assert row["real"] == 0.5 and row["simulated"] == 3
+    assert row["w1"] == pytest.approx(2.5) and row["js"] == pytest.approx(1)
+    assert row["w1_halves"] == row["w1_sources"] == pytest.approx(1)
+    empty = compare(_samples([np.zeros(0)]), _samples([np.zeros(3)]), ["a"])["x"]
+    assert np.isnan([empty["real"], empty["w1"], empty["w1_halves"], empty["w1_sources"]]).all()
+
+
+def test_holes_have_the_size_of_squares_of_their_area() -> None:
+    depth_m = np.full((60, 80), 2.0)
+    depth_m[5:17, 5:17] = depth_m[30:33, 40:43] = 0
+    sizes, counts = np.unique(hole_sizes_px(depth_m), return_counts=True)
+    np.testing.assert_allclose(sizes, [3, 12])
+    np.testing.assert_array_equal(counts, [9, 144])
+
+
+def test_holes_in_walls_are_told_from_holes_at_edges() -> None:
+    depth_m = np.where(np.arange(80) < 40, 1.0, 3.0) * np.ones((60, 1))
+    depth_m[20:30, 38:42] = 0  # 40 pixels astride the step
+    depth_m[20:30, 60:72] = 0  # 120 in the wall
+    np.testing.assert_allclose(share_of_holes_at_edges(depth_m), [0.25])
+    assert len(share_of_holes_at_edges(np.ones((9, 9)))) == 0
+
+
+def test_kinects_steps_of_an_eighth_of_a_pixel_are_3_mm_at_1_m() -> None:
+    disparity_px = np.arange(10, 60, 0.125)
+    depth_m = (580 * 0.075 / disparity_px)[:, None] * np.ones(7)
+    # z^2 s / (f b); between levels next to each other z changes a little.
+    np.testing.assert_allclose(depth_steps_mm(depth_m), 1000 * 0.125 / (580 * 0.075), rtol=0.015)
+
+
+def test_noise_on_a_wall_is_sorted_by_its_distance() -> None:
+    wall_m = 1.5 + 0.004 * np.random.default_rng(5).standard_normal((144, 192))
+    samples = depth_samples(DepthImage(wall_m.astype(np.float32), Camera(192, 144, 170.0), "a"))
+    assert np.sqrt(np.mean(samples["noise 1-2 m, mm"] ** 2)) == pytest.approx(4, rel=0.05)
+    assert not any(len(samples[f"noise {bounds} m, mm"]) for bounds in ("0.4-1", "2-3", "3-5"))
+    assert samples["holes, %"] == 0 and len(samples["size of holes, px"]) == 0
+
+
 def _frames(draw: Draw, count: int, name: str) -> list[DepthImage]:
     camera = Camera(131, 67, 90.0)
     rngs = [np.random.default_rng([i, *name.encode()]) for i in range(count)]
@@ -178,3 +232,10 @@ def test_real_frames_come_with_their_own_cameras(real_data: Path) -> None:
         assert 700 < frame.camera.focal_px < 725
         assert 0.03 < (frame.depth_m > 0).mean() < 0.05
         assert frame.depth_m.max() < 80  # metres
+
+
+def test_real_depth_cameras_report_metres(real_data: Path) -> None:
+    counts = {kind.sensor: real_depth_frames(real_data, kind) for kind in DEPTH_CAMERAS}
+    assert {sensor: len(frames) for sensor, frames in counts.items()} == {"kinect": 17, "active_stereo": 4, "tof": 1}
+    for frame in (frame for frames in counts.values() for frame in frames):
+        assert 0.4 < np.median(frame.depth_m[frame.depth_m > 0]) < 4
