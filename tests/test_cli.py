@@ -81,7 +81,7 @@ def test_an_override_that_means_nothing_is_refused(
         (["epochs.full=0"], "epochs=0"),
         (["seed=-1"], "seed=-1"),
         (["data.train_count=2", "data.batch_size=3"], "at least one batch"),
-        (["data=kitti", "data.root=x"], "expected one of synthetic, rendered"),
+        (["data=kitti", "data.root=x"], "expected data=synthetic, data=rendered"),
         (["resume=a.ckpt", "init_from=b.ckpt"], "resume and init_from"),
         (["init_from=nowhere.ckpt"], "nowhere.ckpt"),
         (["resume=nowhere.ckpt"], "nowhere.ckpt"),
