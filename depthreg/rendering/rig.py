@@ -69,8 +69,9 @@ class Rig:
     def __or__(self, other: "Rig") -> "Rig":
         """Everything that either needs."""
         return Rig(
-            scans=tuple(dict.fromkeys(self.scans + other.scans)),
-            matchers=tuple(dict.fromkeys(self.matchers + other.matchers)),
+            scans=self.scans + tuple(scan for scan in other.scans if scan not in self.scans),
+            # Compared, not hashed: a matcher that a configuration made may hold lists.
+            matchers=self.matchers + tuple(matcher for matcher in other.matchers if matcher not in self.matchers),
             surfaces=self.surfaces or other.surfaces,
             offset=self.offset or other.offset,
             right=self.right or other.right,

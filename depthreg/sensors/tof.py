@@ -26,7 +26,7 @@ from depthreg.sensors.reflection import (
     ray_stretch,
     view_rays,
 )
-from depthreg.sensors.windows import local_step_m, mix_neighbours
+from depthreg.sensors.windows import average_returns, local_step_m, mix_neighbours
 
 
 def unambiguous_range_m(frequencies_mhz: Sequence[int]) -> float:
@@ -108,12 +108,13 @@ class Tof:
         max_step_m: Largest step within 3x3 pixels; at larger ones there are holes (Kinect Azure: 0.8 m).
         wrap_share: Share of the samples in which things beyond the unambiguous range come back too near.
         resolution_share: Width and height of the instrument's image as a share of the frame's.
+        filter_passes: How often the instrument averages its depth over 3x3 pixels, across edges too, as telephones do.
         max_range_m: Scenes with a larger median depth are not meant for this sensor (see `Mix`).
     """
 
     frequencies_mhz: Sequence[int] = (80, 100)
-    sigma_at_1m: float = 0.0015
-    ambient: float = 0.1
+    sigma_at_1m: float = 0.001
+    ambient: float = 0.05
     mixing: float = 0.2
     wiggle_m: float = 0.004
     multipath: float = 1.0
@@ -124,6 +125,7 @@ class Tof:
     max_step_m: float = 0.8
     wrap_share: float = 0.5
     resolution_share: float = 1.0
+    filter_passes: int = 0
     max_range_m: float = 6.0
 
     rig = Rig(surfaces=True)
@@ -136,7 +138,7 @@ class Tof:
         require_between(self, sigma_at_1m=(0, 1), ambient=(0, math.inf), mixing=(0, 1 / 3), wiggle_m=(0, 1))
         require_between(self, multipath=(0, 10), patches=(1, 4096), min_albedo=share, wrap_share=share)
         require_between(self, min_amplitude=(0, self.max_amplitude), max_amplitude=positive, max_step_m=positive)
-        require_between(self, resolution_share=(0.01, 1), max_range_m=positive)
+        require_between(self, resolution_share=(0.01, 1), filter_passes=(0, 9), max_range_m=positive)
 
     def __call__(self, frames: FrameBatch, difficulty: float, generator: torch.Generator | None = None) -> Tensor:
         """z-depth in metres, (B, 1, H, W); 0 where there is no return."""
@@ -161,6 +163,8 @@ class Tof:
         strong = difficulty * (amplitude + glare) > self.max_amplitude
         torn = difficulty * local_step_m(measured_m) > self.max_step_m
         reported_m = measured_m.masked_fill(weak | strong | torn | (truth_m == 0), 0).clamp(min=0)
+        for _ in range(self.filter_passes):
+            reported_m = average_returns(reported_m, difficulty / 3)
         return F.interpolate(reported_m, size=(height, width), mode="nearest-exact")
 
     def _light(

@@ -25,6 +25,18 @@ def mix_neighbours(image: Tensor, share: float) -> Tensor:
     return image
 
 
+def average_returns(depth_m: Tensor, share: float) -> Tensor:
+    """Average over the returns in 3x3 pixels, with `share` of each neighbour along both axes; holes stay holes.
+
+    Args:
+        depth_m: (B, 1, H, W), 0 where there is no return.
+        share: In [0, 1/3]; at 1/3 all returns count the same.
+    """
+    is_return = depth_m > 0
+    weight = mix_neighbours(is_return.to(depth_m.dtype), share)
+    return torch.where(is_return, mix_neighbours(depth_m, share) / weight.clamp(min=1e-6), 0)
+
+
 def look_up(image: Tensor, shift_px: Tensor) -> Tensor:
     """`image[y + shift_y, x + shift_x]` at the nearest pixel, held inside the image.
 

@@ -127,4 +127,6 @@ def test_the_union_holds_what_streets_and_rooms_have() -> None:
         part = build(compose_config("train", [f"sensor@stages.full.sensor={name}"]).stages.full.sensor)
         assert union.sensors[name] == part
         assert list(part.sensors) == ["instrument", "afterwards"]  # holes come last
-    assert union.rig.surfaces and union.rig.scans
+    rig = union.rig
+    assert rig.surfaces and len(rig.matchers) == 2  # with a projector and without
+    assert len(set(rig.scans)) == len(rig.scans) == 6  # HDL-64E is in the mix twice, but scans once

@@ -4,6 +4,7 @@ import cmath
 import math
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -15,6 +16,7 @@ from depthreg.sensors import Tof
 from depthreg.sensors.multipath import indirect_light, patch_transport
 from depthreg.sensors.reflection import infrared_albedo, matte_return, view_rays
 from depthreg.sensors.tof import range_sigma_m, unambiguous_range_m, unwrap
+from depthreg.sensors.windows import average_returns
 
 MakeFrames = Callable[..., FrameBatch]
 C_M_PER_S = 299_792_458.0
@@ -219,6 +221,14 @@ def test_fewer_pixels_are_drawn_as_blocks_of_the_same_grid(make_surface: MakeFra
     blocks = measured_m.unflatten(1, (15, 4)).unflatten(0, (10, 4)).transpose(1, 2)  # (10, 15, 4, 4)
     assert (blocks == blocks[..., :1, :1]).all()
     assert len(blocks[..., 0, 0].unique()) > 140
+
+
+def test_the_instruments_filter_is_opencvs_box_where_all_is_seen_and_never_mixes_holes_in() -> None:
+    depth_m = 1 + torch.rand(1, 1, 37, 53, generator=generator())
+    expected = cv2.blur(depth_m[0, 0].numpy(), (3, 3), borderType=cv2.BORDER_REPLICATE)
+    np.testing.assert_allclose(average_returns(depth_m, 1 / 3)[0, 0], expected, atol=1e-5)
+    flat_m = 2.0 * (torch.rand(1, 1, 37, 53, generator=generator()) < 0.5)
+    torch.testing.assert_close(average_returns(flat_m, 1 / 3), flat_m)
 
 
 def test_depth_is_along_the_axis_though_light_travels_along_rays(make_surface: MakeFrames) -> None:
