@@ -1,10 +1,11 @@
 # For a fresh machine with Python and make: each target makes .venv and installs depthreg into it first, where needed.
 PYTHON ?= python3
+PYTHON311 ?= python3.11
 ARGS ?=
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install train test integration lint wheel clean
+.PHONY: help install blender train test integration lint wheel clean
 
 help:  ## say what there is
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -19,6 +20,15 @@ install: .venv/installed  ## make .venv and install depthreg with everything tha
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -c constraints.txt torch
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev]"
+	@touch $@
+
+blender: .venv-blender/installed  ## make .venv-blender, which rendering=cycles needs; takes a Python 3.11
+
+.venv-blender/installed: requirements-blender.txt
+	@$(PYTHON311) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+		{ echo "make: Blender's bpy needs Python 3.11, and $(PYTHON311) is none: name one with PYTHON311=..." >&2; exit 1; }
+	$(PYTHON311) -m venv .venv-blender
+	.venv-blender/bin/python -m pip install -r requirements-blender.txt
 	@touch $@
 
 train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's overrides, such as ARGS="preset=paper"
@@ -40,4 +50,4 @@ wheel: install  ## build the wheel and the source archive into dist/
 	$(BIN)/python -m build --no-isolation
 
 clean:  ## remove what was installed and built; runs/ stays
-	rm -rf .venv dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv .venv-blender dist .mypy_cache .pytest_cache .ruff_cache

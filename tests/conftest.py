@@ -11,7 +11,9 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from depthreg.data.synthetic import collate_frames
+from depthreg.errors import InputError
 from depthreg.networks import JointNetwork
+from depthreg.rendering.blender import find_python
 
 
 @pytest.fixture(scope="session")
@@ -22,6 +24,15 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real sensor frames are not at {folder}: set DEPTHREG_REAL_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def blender_python() -> Path:
+    """The Python that has Blender's bpy, which `make blender` brings."""
+    try:
+        return find_python()
+    except InputError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="session", autouse=True)
