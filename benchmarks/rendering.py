@@ -1,6 +1,10 @@
-"""How long a frame takes on one core, part by part, beside trimesh's own ray interface on the same rays.
+"""How many frames a second some processes render, and how many Cycles does with as many cores; and what costs how much.
 
 python benchmarks/rendering.py --json rendering.json
+
+A frame is a street drawn and built, its colour, depth, normals, ids, albedo and gloss, the scan of 64 beams and the
+right view. Cycles (16 samples, denoised) renders both colours of the same frames in the same size, and takes the rest
+from the ray-caster. It needs an environment with Blender's bpy; without one there is no ratio.
 """
 
 import argparse
@@ -8,7 +12,9 @@ import json
 import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -18,7 +24,9 @@ from rich.console import Console
 from rich.table import Table
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-from depthreg.rendering import Camera, hdl64, render_frame
+from depthreg.errors import InputError
+from depthreg.rendering import Camera, Embree, Renderer, hdl64, render_frame
+from depthreg.rendering.cycles import Cycles
 from depthreg.rendering.scan import scan_scene
 from depthreg.rendering.surfaces import merge
 from depthreg.worlds import DrivingWorld
@@ -39,6 +47,40 @@ def cpu_ms(action: Callable[[], object], repeats: int) -> float:
         action()
         times.append(time.process_time() - start)
     return 1000 * min(times)
+
+
+def street(number: int) -> DrivingWorld:
+    """Whose streets frame `number` shows: each style in turn."""
+    return DrivingWorld(styles=(list(STYLES)[number % len(STYLES)],))
+
+
+def make_frame(number: int, renderer: Renderer | None = None) -> None:
+    """Draw and render KITTI-sized frame `number`."""
+    cv2.setNumThreads(1)
+    (renderer or Embree())(street(number)(0, number), SETTINGS["1242x375"][0], hdl64())
+
+
+def frames_per_s(workers: int, count: int) -> float:
+    """Frames that some processes make in a second of the clock."""
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        list(pool.map(make_frame, range(8 * workers)))  # imports, textures
+        start = time.perf_counter()
+        list(pool.map(make_frame, range(count)))
+        return count / (time.perf_counter() - start)
+
+
+def cycles_frames_per_s(workers: int, count: int) -> float | None:
+    """The same for Blender's path tracer with as many threads, a frame at a time; None where it isn't there."""
+    try:
+        renderer = Cycles(samples=16, denoise=True, threads=workers)
+        make_frame(0, renderer)  # Blender starts
+    except InputError as error:
+        print(f"No comparison with Cycles: {error}")
+        return None
+    start = time.perf_counter()
+    for number in range(count):
+        make_frame(number, renderer)
+    return count / (time.perf_counter() - start)
 
 
 def measure_frame(world: DrivingWorld, camera: Camera, repeats: int) -> dict[str, float]:
@@ -91,11 +133,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--repeats", type=int, default=5, help="runs of each part; the quickest counts")
+    parser.add_argument("--workers", type=int, default=2, help="processes that render; Cycles gets as many threads")
+    parser.add_argument("--frames", type=int, default=64, help="how many they render")
+    parser.add_argument("--cycles-frames", type=int, default=4, help="how many Cycles renders; 0 leaves it out")
     arguments = parser.parse_args()
+    speed = frames_per_s(arguments.workers, arguments.frames)
+    rival = cycles_frames_per_s(arguments.workers, arguments.cycles_frames) if arguments.cycles_frames else None
+    results: dict[str, object] = {
+        "frames_per_s": speed,
+        "workers": arguments.workers,
+        "cycles_frames_per_s": rival,
+        "ratio_to_cycles": speed / rival if rival else None,
+    }
+    print(f"{arguments.workers} processes make {speed:.2f} frames of 1242x375 a second.")
+    if rival:
+        print(f"Cycles with {arguments.workers} threads makes {rival:.4f}, 1/{speed / rival:.0f} of that.")
     cv2.setNumThreads(1)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    results = {}
     for size, (camera, world) in SETTINGS.items():
         worlds = {style: replace(world, styles=(style,)) for style in STYLES}
         frames = {style: measure_frame(worlds[style], camera, arguments.repeats) for style in STYLES}
