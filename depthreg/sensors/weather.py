@@ -18,6 +18,7 @@ from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
 from depthreg.geometry import invert_affine, pixel_grid, sample_at, transform_points
 from depthreg.sensors.color import GAMMA, change_some, rays, sensor_noise
+from depthreg.sensors.mix import median_depth_m
 from depthreg.sensors.rain import draw_streaks, rain_extinction_per_m, random_streaks
 
 _FARTHEST_M = 1000.0  # what has no depth, sky mostly, counts as so far away
@@ -124,6 +125,15 @@ class Sky(NamedTuple):
     rain_mm_h: Tensor  # 0 = dry
     daylight: Tensor  # share that is left; 1 = day
 
+    def outside(self, outdoors: Tensor) -> "Sky":
+        """The same weather where `outdoors` (B,), and a clear day elsewhere."""
+        return Sky(
+            extinction_per_m=self.extinction_per_m * outdoors,
+            airlight=self.airlight,
+            rain_mm_h=self.rain_mm_h * outdoors,
+            daylight=torch.where(outdoors, self.daylight, 1),
+        )
+
 
 @dataclass(frozen=True)
 class Weather:
@@ -139,6 +149,7 @@ class Weather:
         headlight_m: Distance at which headlights replace daylight in full.
         full_well_e: Electrons of a white pixel by day.
         read_noise_e: Electrons.
+        indoors_below_m: A scene of a smaller median depth is a room, which has no weather.
 
     Raises:
         InputError: A share or a limit can't be meant.
@@ -155,12 +166,13 @@ class Weather:
     headlight_m: float = 8.0
     full_well_e: float = 10_000.0
     read_noise_e: float = 4.0
+    indoors_below_m: float = 6.0
 
     def __post_init__(self) -> None:
         shares = (self.fog_share, self.rain_share, self.night_share)
         if not all(share >= 0 for share in shares) or sum(shares) > 1:
             raise InputError(f"weather: expected shares of at least 0 and together at most 1, got {shares}")
-        air = self.min_visibility_m, self.max_rain_mm_h, self.exposure_s
+        air = self.min_visibility_m, self.max_rain_mm_h, self.exposure_s, self.indoors_below_m
         dark = self.min_daylight, self.headlight_m, self.full_well_e, self.read_noise_e
         low, high = self.airlight
         if not all(limit > 0 for limit in (*air, *dark)) or self.min_daylight > 1 or not 0 <= low <= high <= 1:
@@ -202,7 +214,8 @@ class Weather:
         if difficulty == 0:
             return measurement
         rgb = measurement["rgb"]
-        sky = self.draw(len(rgb), difficulty, generator)
+        outdoors = median_depth_m(measurement["truth_depth_m"]).cpu() >= self.indoors_below_m
+        sky = self.draw(len(rgb), difficulty, generator).outside(outdoors)
         out = Measurement(**measurement)
         out["rgb"] = change_some(rgb, sky.extinction_per_m, lambda i: self._through_air(measurement, sky, i, generator))
         out["rgb"] = change_some(out["rgb"], 1 - sky.daylight, lambda i: self._at_night(measurement, sky, i, generator))

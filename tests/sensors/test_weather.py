@@ -233,3 +233,10 @@ def test_fog_swallows_a_scanners_returns_and_no_one_elses(make_frames: MakeFrame
 def test_weather_that_cannot_be_meant_is_refused(limits: dict[str, float], named: str) -> None:
     with pytest.raises(InputError, match=named):
         Weather(**limits)
+
+
+@pytest.mark.parametrize("kind", ["fog", "rain", "night"])
+def test_rooms_have_no_weather(kind: str) -> None:
+    room, street = measurement(8, depth_m=3.0), measurement(8, depth_m=20.0)
+    assert torch.equal(always(kind)(room, 1.0, generator())["rgb"], room["rgb"])
+    assert not torch.equal(always(kind)(street, 1.0, generator())["rgb"], street["rgb"])
