@@ -1,4 +1,4 @@
-"""Runs inside Blender's own Python, which has bpy and NumPy and nothing of ours: renders the jobs that arrive on stdin.
+"""Runs inside Blender's own Python, which has bpy and NumPy and nothing of ours: does the jobs that arrive on stdin.
 
 A job is a line of JSON, and so is its answer on stdout: {"cpu_s": ...} or {"error": "..."}. The process ends with its
 stdin. It has to be started isolated (python -I), or our cycles.py would stand before Blender's package of that name.
@@ -253,7 +253,14 @@ def render(job: Job) -> None:
         bpy.ops.render.render(write_still=True)
 
 
-TASKS: dict[str, Callable[[Job], None]] = {"render": render}
+def export(job: Job) -> None:
+    """Turn a .blend file into glTF, with modifiers applied and without running the scripts that it carries."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=job["blend"], load_ui=False, use_scripts=False)
+    bpy.ops.export_scene.gltf(filepath=job["out"], export_format="GLB", export_cameras=True, export_apply=True)
+
+
+TASKS: dict[str, Callable[[Job], None]] = {"render": render, "export": export}
 
 
 def _jobs() -> Iterator[Job]:

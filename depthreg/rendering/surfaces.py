@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from depthreg.rendering.embree import RayTree
+from depthreg.rendering.pictures import Pictures, gather_pictures, texture_rows
 from depthreg.worlds.scene import Light, Material, Scene
 from depthreg.worlds.textures import LEVEL_START, PATTERNS, TEXELS, TILE, texture_start
 
@@ -54,6 +55,7 @@ class Surfaces:
         texels_per_m: Density of each object's finest texture level, (O,) float32.
         texture_start: Row of `TEXELS` where each object's texture starts, (O,) int32.
         paint: Colour, difference to the second colour, gloss of each object, (7, O) float32.
+        pictures: What lies on objects in place of a pattern; None where nothing does.
     """
 
     tree: RayTree
@@ -64,6 +66,7 @@ class Surfaces:
     texels_per_m: np.ndarray
     texture_start: np.ndarray
     paint: np.ndarray
+    pictures: Pictures | None = None
 
     def cast(self, origin: np.ndarray, rays: np.ndarray) -> Hits:
         """First hits of rays.
@@ -121,12 +124,14 @@ class Surfaces:
         u = np.einsum("kn,kn->n", hits.point, table[0:3]) + table[3]
         v = np.einsum("kn,kn->n", hits.point, table[4:7]) + table[7]
         column, row = (np.floor(t * size).astype(np.int32) & (size - 1) for t in (u, v))
-        start = self.texture_start.take(obj) + LEVEL_START.take(level)
-        texel = TEXELS.take(start + row * size + column, axis=0)
+        number = LEVEL_START.take(level) + row * size + column
+        texel = TEXELS.take(self.texture_start.take(obj) + number, axis=0)
         mix, shade, gloss = np.multiply(texel[:, :3].T, np.float32(1 / 255), order="C")
         paint = self.paint.take(obj, axis=1)
-        color = paint[:3] + mix * paint[3:6]
-        return color * (2 * shade * table[8]), gloss * paint[6]
+        color = (paint[:3] + mix * paint[3:6]) * (2 * shade * table[8])
+        if self.pictures is not None:
+            self.pictures.lay(color, paint[:3], obj, number)
+        return color, gloss * paint[6]
 
 
 def _texture_axes(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -175,13 +180,23 @@ def merge(scene: Scene, origin_m: np.ndarray) -> Surfaces:
     materials = [o.material for o in scene.objects]
     paint = np.array([(*m.color, *m.second_color, m.gloss) for m in materials], dtype=np.float32).T
     paint[3:6] -= paint[:3]
+    texture = _texture_table(normal, object_id, materials, origin_m)
+    tiles_per_m = np.array([1 / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials])
+    laid = gather_pictures(scene.objects)
+    if laid is not None:
+        there = laid.start >= 0
+        rows = np.flatnonzero(there[object_id])
+        found = [o.picture for o in scene.objects if o.picture is not None]
+        texture[:8, rows] = texture_rows(points[corners[rows]], np.concatenate([p.uv for p in found]))
+        tiles_per_m[there] = [p.tiles_per_m for p in found]
     return Surfaces(
         tree=RayTree(points, corners),
         origin_m=origin_m,
         normal=np.where(away, -normal.T, normal.T),
         object_id=object_id,
-        texture=_texture_table(normal, object_id, materials, origin_m),
-        texels_per_m=np.array([TILE / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials], dtype=np.float32),
+        texture=texture,
+        texels_per_m=(TILE * tiles_per_m).astype(np.float32),
         texture_start=np.array([texture_start(m.pattern) for m in materials], dtype=np.int32),
         paint=np.ascontiguousarray(paint),
+        pictures=laid,
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from depthreg.rendering.shading import sky
 from depthreg.rendering.surfaces import Surfaces
-from depthreg.worlds.scene import Light, Scene
+from depthreg.worlds.scene import Light, Scene, SceneObject
 from depthreg.worlds.textures import TEXELS, TILE, texture_start
 
 _LAMP_AT_M = 2.0  # a lamp's brightness is stated at this distance
@@ -29,8 +29,13 @@ def write_scene(path: Path, scene: Scene, surfaces: Surfaces) -> dict[str, Any]:
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)])
     vertices = (np.concatenate([mesh.vertices for mesh in meshes]) - surfaces.origin_m).astype(np.float32)
-    patterns = sorted({o.material.pattern for o in scene.objects})
-    image = np.array([patterns.index(o.material.pattern) for o in scene.objects], np.int32)
+    images: dict[str | int, np.ndarray] = {}  # by a pattern's name or by the picture's identity
+    image = np.zeros(len(scene.objects), np.int32)
+    for number, thing in enumerate(scene.objects):
+        key = thing.material.pattern if thing.picture is None else id(thing.picture.texels)
+        if key not in images:
+            images[key] = _tile(thing)
+        image[number] = list(images).index(key)
     materials = [o.material for o in scene.objects]
     owner = surfaces.object_id
     arrays: dict[str, Any] = {
@@ -44,9 +49,10 @@ def write_scene(path: Path, scene: Scene, surfaces: Surfaces) -> dict[str, Any]:
         "image": image[owner],
         "sky": _panorama(scene.light),
     }
-    arrays |= {f"image{number}": _tile(pattern) for number, pattern in enumerate(patterns)}
+    arrays |= {f"image{number}": tile for number, tile in enumerate(images.values())}
     np.savez(path, **arrays)
-    return {"scene": str(path), "is_pattern": [True] * len(patterns), "light": _light(scene.light, surfaces.origin_m)}
+    is_pattern = [isinstance(key, str) for key in images]
+    return {"scene": str(path), "is_pattern": is_pattern, "light": _light(scene.light, surfaces.origin_m)}
 
 
 def _texture_coordinates(corners: np.ndarray, table: np.ndarray) -> np.ndarray:
@@ -55,10 +61,10 @@ def _texture_coordinates(corners: np.ndarray, table: np.ndarray) -> np.ndarray:
     return np.einsum("fck,akf->fca", corners, axes) + table[[3, 7]].T[:, None]
 
 
-def _tile(pattern: str) -> np.ndarray:
-    """A pattern's mix, shade and gloss at its finest, (TILE, TILE, 3) uint8."""
-    start = texture_start(pattern)
-    return TEXELS[start : start + TILE**2, :3].reshape(TILE, TILE, 3)
+def _tile(thing: SceneObject) -> np.ndarray:
+    """A pattern's mix, shade and gloss, or a picture, at its finest, (TILE, TILE, 3) uint8."""
+    texels = TEXELS[texture_start(thing.material.pattern) :, :3] if thing.picture is None else thing.picture.texels
+    return texels[: TILE**2].reshape(TILE, TILE, 3)
 
 
 def _panorama(light: Light) -> np.ndarray:

@@ -26,12 +26,24 @@ class Material:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A picture that lies on a mesh in place of a pattern; the material's colour multiplies it."""
+
+    texels: np.ndarray  # (R, 3) uint8, as textures.picture_texels gives them; objects may share one
+    uv: (
+        np.ndarray
+    )  # (F, 3, 2) where the corners of each face lie in the picture: (0, 0) to (1, 1) is all of it, up is up
+    tiles_per_m: float  # how many pictures a metre holds; 0 where each face shows one texel, which must not blur
+
+
+@dataclass(frozen=True)
 class SceneObject:
     """One thing: a mesh in world coordinates with one material."""
 
     name: str  # its class: "car", "wall", "table"; for reading, not for looking up
     mesh: trimesh.Trimesh
     material: Material
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True)

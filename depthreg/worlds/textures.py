@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
+import cv2
 import numpy as np
 
 from depthreg.worlds import patterns
@@ -55,6 +56,9 @@ PATTERNS: dict[str, Pattern] = {
 }
 
 
+_GAMMA = 2.2  # of pictures; what the renderers' own tone curve inverts
+LINEAR = (np.arange(256, dtype=np.float32) / 255) ** np.float32(_GAMMA)  # light of a picture's byte
+
 _LEVEL_SIZES = (TILE >> np.arange(LEVELS)) ** 2
 LEVEL_START = np.concatenate([[0], np.cumsum(_LEVEL_SIZES)[:-1]]).astype(np.int32)  # of each mip level in a texture
 
@@ -79,3 +83,41 @@ def texture_start(name: str) -> int:
     start = number * len(texels)
     TEXELS[start : start + len(texels), :3] = np.rint(255 * texels)
     return start
+
+
+def picture_texels(image: np.ndarray) -> np.ndarray:
+    """A picture as a tile with its mip levels, averaged as light is.
+
+    Args:
+        image: Of any size, (H, W, 3) uint8, its highest row first.
+
+    Returns:
+        (R, 3) uint8, one texel a row as in `TEXELS`, the lowest row first.
+    """
+    shrinks = min(image.shape[:2]) >= TILE
+    linear = LINEAR[np.ascontiguousarray(image[::-1])]
+    tile = cv2.resize(linear, (TILE, TILE), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    return np.rint(255 * _mip_levels(tile) ** (1 / _GAMMA)).astype(np.uint8)
+
+
+def palette_texels(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A picture that holds one texel for each colour, for faces that have a colour each.
+
+    Args:
+        colors: Of each face, (F, 3) uint8, to the same gamma as pictures.
+
+    Returns:
+        The texels, as those of `picture_texels`, and where each face's corners lie in them, (F, 3, 2).
+    """
+    bits = 8
+    distinct, number = np.unique(colors, axis=0, return_inverse=True)
+    while len(distinct) > TILE**2:  # coarser, until they fit
+        bits -= 1
+        distinct, number = np.unique(colors >> (8 - bits) << (8 - bits), axis=0, return_inverse=True)
+    tile = np.zeros((TILE**2, 3), np.uint8)
+    tile[: len(distinct)] = distinct
+    row, column = np.divmod(number.ravel(), TILE)
+    uv = (np.stack([column, row], axis=-1) + 0.5) / TILE
+    levels = np.zeros((_LEVEL_SIZES.sum(), 3), np.uint8)
+    levels[: TILE**2] = tile
+    return levels, np.repeat(uv[:, None], 3, axis=1)
