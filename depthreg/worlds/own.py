@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
 from depthreg.errors import InputError
 from depthreg.worlds.own_files import SceneFile, read_scene_file
@@ -13,7 +14,21 @@ Vector = tuple[float, float, float]
 
 _AXES = ("y", "z")
 _FROM = np.array([0.35, -1.0, 0.45])  # where a camera stands that nobody placed: in front, a little aside and above
+_ROOM = 1.05  # a little space round what has to be in view
+_NEAR = 0.1  # a file's camera looks at something at least that share of the scene's size away
+_FARTHEST_M = 200.0  # from 250 m on, depth counts as none
+_RANGES = {"scale": (1e-6, 1e6), "view_deg": (1, 170), "vary": (0, 0.9)}
 _BASELINE_M = 0.075  # between the infrared camera and the projector of a Kinect
+
+# The sun over the left shoulder of a camera that looks forward, in a fair sky; white that faces it is nearly white.
+_LIGHT = Light(
+    sun_direction=np.array([-0.48, -0.6, 0.64]),
+    sun_rgb=(1.0, 0.96, 0.88),
+    ambient_rgb=(0.28, 0.32, 0.38),
+    sky_horizon_rgb=(0.8, 0.87, 0.95),
+    sky_zenith_rgb=(0.3, 0.5, 0.85),
+    exposure=0.75,
+)
 
 
 @dataclass(frozen=True)
@@ -45,22 +60,25 @@ class OwnWorld:
     vary: float = 0.1
 
     def __post_init__(self) -> None:
-        if not self.path:
-            raise InputError("world.path names no file: expected a scene (.glb, .gltf, .obj, .ply, .stl or .blend)")
+        if not isinstance(self.path, str) or not self.path:
+            raise InputError(f"world.path={self.path}: expected a scene file (.glb, .gltf, .obj, .ply, .stl or .blend)")
         if self.up not in _AXES:
             raise InputError(f"world.up={self.up}: expected one of {', '.join(_AXES)}")
-        if not 0 < self.scale < np.inf or not 0 <= self.vary < 1 or not 1 <= self.view_deg <= 170:
-            raise InputError(
-                "world: expected scale above 0, vary from 0 to below 1 and view_deg from 1 to 170, "
-                f"got {self.scale}, {self.vary} and {self.view_deg}"
-            )
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not _is_number(value) or not low <= value <= high:
+                raise InputError(f"world.{name}={value}: expected a number from {low:g} to {high:g}")
         for name in ("camera_position", "look_at"):
             value = getattr(self, name)
-            if value is not None and (len(value) != 3 or not np.isfinite(value).all()):
+            if value is not None and not (
+                isinstance(value, list | tuple) and [_is_number(v) for v in value] == [True] * 3
+            ):
                 raise InputError(f"world.{name}={value}: expected three numbers, metres to the right, forward and up")
-        if self.look_at is not None and self.look_at == self.camera_position:
-            raise InputError(f"world.look_at={self.look_at} is where the camera stands: expected another place")
-        self._file()
+        pose, target = self._viewpoint(self._file())
+        if not np.linalg.norm(target - pose[:3, 3]):
+            raise InputError(
+                f"world.camera_position={self.camera_position} is what the camera looks at: expected another"
+            )
 
     def __call__(self, seed: int, index: int) -> Scene:
         """The scene from viewpoint `index`."""
@@ -79,19 +97,37 @@ class OwnWorld:
 
     def _viewpoint(self, file: SceneFile) -> tuple[np.ndarray, np.ndarray]:
         """Pose of the camera in the world (4, 4), and what it looks at (3,)."""
-        corners = np.array([o.mesh.bounds for o in file.objects])
-        low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-        middle, radius_m = (low + high) / 2, np.linalg.norm(high - low) / 2
-        if self.camera_position is None and self.look_at is None and file.world_from_camera is not None:
-            pose = file.world_from_camera
-            forward = pose[:3, 2]
-            ahead_m = max(float((middle - pose[:3, 3]) @ forward), 0.1 * radius_m)
-            return pose, pose[:3, 3] + ahead_m * forward
-        target = middle if self.look_at is None else np.array(self.look_at, float)
-        if self.camera_position is None:
-            away_m = 1.02 * radius_m / np.sin(np.radians(self.view_deg / 2)) + np.linalg.norm(middle - target)
-            return _looking(target + away_m * _FROM / np.linalg.norm(_FROM), target), target
-        return _looking(np.array(self.camera_position, float), target), target
+        corners = np.array([trimesh.bounds.corners(o.mesh.bounds) for o in file.objects]).reshape(-1, 3)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        middle = (low + high) / 2
+        if self.camera_position is not None or self.look_at is not None or file.world_from_camera is None:
+            target = middle if self.look_at is None else np.array(self.look_at, float)
+            position = self._overlook(corners, target) if self.camera_position is None else self.camera_position
+            return _looking(np.array(position, float), target), target
+        pose = file.world_from_camera
+        ahead_m = (middle - pose[:3, 3]) @ pose[:3, 2]
+        return pose, pose[:3, 3] + max(ahead_m, _NEAR * np.linalg.norm(high - low)) * pose[:3, 2]
+
+    def _overlook(self, points: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Where to stand to have all points (N, 3) in view round a target.
+
+        Raises:
+            InputError: That is too far away to measure.
+        """
+        axes = _looking(target + _FROM, target)[:3, :3]
+        right, down, ahead = axes.T @ (points - target).T
+        aside = np.maximum(np.abs(right), np.abs(down))
+        away_m = _ROOM * (aside / np.tan(np.radians(self.view_deg / 2)) - ahead).max()
+        if away_m > _FARTHEST_M:
+            raise InputError(
+                f"world.path={self.path} is seen whole from {away_m:.0f} m away, where nothing is measured: "
+                f"expected a world.scale below {self.scale:g}, or a world.camera_position"
+            )
+        return target - away_m * axes[:, 2]
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
 
 
 def _looking(position: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -105,14 +141,3 @@ def _looking(position: np.ndarray, target: np.ndarray) -> np.ndarray:
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = position
     return pose
-
-
-# The sun over the left shoulder of a camera that looks forward, in a fair sky; white that faces it is nearly white.
-_LIGHT = Light(
-    sun_direction=np.array([-0.48, -0.6, 0.64]),
-    sun_rgb=(1.0, 0.96, 0.88),
-    ambient_rgb=(0.28, 0.32, 0.38),
-    sky_horizon_rgb=(0.8, 0.87, 0.95),
-    sky_zenith_rgb=(0.3, 0.5, 0.85),
-    exposure=0.75,
-)

@@ -56,8 +56,8 @@ PATTERNS: dict[str, Pattern] = {
 }
 
 
-_GAMMA = 2.2  # of pictures; what the renderers' own tone curve inverts
-LINEAR = (np.arange(256, dtype=np.float32) / 255) ** np.float32(_GAMMA)  # light of a picture's byte
+GAMMA = 2.2  # of pictures; what the renderers' own tone curve inverts
+LINEAR = (np.arange(256, dtype=np.float32) / 255) ** np.float32(GAMMA)  # light of a picture's byte
 
 _LEVEL_SIZES = (TILE >> np.arange(LEVELS)) ** 2
 LEVEL_START = np.concatenate([[0], np.cumsum(_LEVEL_SIZES)[:-1]]).astype(np.int32)  # of each mip level in a texture
@@ -97,7 +97,7 @@ def picture_texels(image: np.ndarray) -> np.ndarray:
     shrinks = min(image.shape[:2]) >= TILE
     linear = LINEAR[np.ascontiguousarray(image[::-1])]
     tile = cv2.resize(linear, (TILE, TILE), interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
-    return np.rint(255 * _mip_levels(tile) ** (1 / _GAMMA)).astype(np.uint8)
+    return np.rint(255 * _mip_levels(tile) ** (1 / GAMMA)).astype(np.uint8)
 
 
 def palette_texels(colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,21 +1,33 @@
 """A user's own scene file against closed forms: boxes of known size and place, pictures of known colours."""
 
+import json
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from trimesh.transformations import translation_matrix
+from trimesh.transformations import rotation_matrix, translation_matrix
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
+from depthreg.cli import main
 from depthreg.rendering import Camera, Cycles, Renderer, render_frame
+from depthreg.rendering.pictures import texture_rows
 from depthreg.worlds import OwnWorld
+from depthreg.worlds.gltf_camera import gltf_camera
+from depthreg.worlds.textures import palette_texels, picture_texels
 
 CAMERA = Camera(width=53, height=37, focal_px=45.0, center_px=(26, 18))
 AHEAD = {"camera_position": (1.0, 0.0, 1.5), "look_at": (1.0, 10.0, 1.5)}
 ORANGE, TEAL = (230, 120, 20), (10, 130, 140)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same draws in each test."""
+    return np.random.default_rng(0)
 
 
 @pytest.fixture
@@ -124,3 +136,176 @@ def test_cycles_shows_the_same_picture(tmp_path: Path, blender_python: Path) -> 
     world = OwnWorld(str(tmp_path / "poster.glb"), camera_position=(0, 0, 0), look_at=(0, 1, 0))
     cycles = Cycles(samples=4, denoise=False, threads=1, python=str(blender_python))
     np.testing.assert_allclose(seen_colours(cycles, world), [ORANGE, TEAL, (0, 0, 0)], atol=3)
+
+
+def test_an_obj_with_a_picture_shows_it_the_same_way_up(tmp_path: Path) -> None:
+    picture_scene(tmp_path / "poster.obj")
+    world = OwnWorld(str(tmp_path / "poster.obj"), up="y", camera_position=(0, 0, 0), look_at=(0, 1, 0))
+    np.testing.assert_allclose(seen_colours(render_frame, world), [ORANGE, TEAL, (0, 0, 0)], atol=3)
+
+
+def test_faces_of_their_own_colours_show_them(tmp_path: Path) -> None:
+    """Also where the palette's texels are far smaller than a pixel: they must not blur."""
+    strip = trimesh.Trimesh(
+        [(x, 4, z) for z in (-2, 2) for x in (-2, 0, 2)], [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4)], process=False
+    )
+    strip.visual.face_colors = [(*ORANGE, 255)] * 2 + [(*TEAL, 255)] * 2
+    strip.export(tmp_path / "strip.ply")
+    world = OwnWorld(str(tmp_path / "strip.ply"), camera_position=(0, 0, 0), look_at=(0, 1, 0))
+    np.testing.assert_allclose(seen_colours(render_frame, world)[:2], [ORANGE, TEAL], atol=3)
+
+
+def test_gltf_colours_are_linear(tmp_path: Path) -> None:
+    """glTF 2.0: factors and vertex colours are linear, so 0.5 is the byte 186 of a picture."""
+    for name, visual in {
+        "factor": TextureVisuals(material=PBRMaterial(baseColorFactor=(127, 127, 127, 255))),
+        "vertices": trimesh.visual.ColorVisuals(vertex_colors=[(127, 127, 127, 255)] * 8),
+    }.items():
+        box = trimesh.creation.box(bounds=[(-9, -9, -5), (9, 9, -4)])
+        box.visual = visual
+        box.export(tmp_path / f"{name}.glb")
+        world = OwnWorld(str(tmp_path / f"{name}.glb"), camera_position=(0, 0, 0), look_at=(0, 1, 0))
+        np.testing.assert_allclose(seen_colours(render_frame, world), 186, atol=3)
+
+
+def test_texture_coordinates_are_affine_on_each_face(rng: np.random.Generator) -> None:
+    corners, uv = rng.uniform(-9, 9, (31, 3, 3)), rng.uniform(-3, 3, (31, 3, 2))
+    share = rng.dirichlet(np.ones(3), 31)  # barycentric coordinates of a point on each face
+    points, expected = (np.einsum("fc,fck->fk", share, values) for values in (corners, uv))
+    rows = texture_rows(corners, uv)
+    found = np.stack([np.einsum("kf,fk->f", rows[i : i + 3], points) + rows[i + 3] for i in (0, 4)], axis=-1)
+    np.testing.assert_allclose((found - expected + 0.5) % 1, 0.5, atol=1e-6)  # but for whole tiles
+
+
+def test_a_picture_keeps_its_light_in_every_mip_level() -> None:
+    """A fine board of black and white is a grey of half the light from afar: 255 * 0.5 ** (1 / 2.2)."""
+    board = np.uint8(255) * (np.indices((1024, 1024)).sum(axis=0)[..., None] // 2 % 2).astype(np.uint8)
+    texels = picture_texels(np.repeat(board, 3, axis=2))
+    assert len(texels) == sum(4**level for level in range(10))
+    assert np.abs(texels[-1].astype(int) - 186).max() <= 1
+
+
+def test_more_colours_than_a_palette_holds_are_rounded() -> None:
+    colors = np.stack(np.unravel_index(np.arange(300_000) * 50, (256, 256, 256)), axis=-1).astype(np.uint8)
+    texels, uv = palette_texels(colors)
+    column, row = np.floor(uv[:, 0] * 512).astype(int).T
+    assert np.abs(texels[512 * row + column].astype(int) - colors).max() <= 3
+
+
+def test_the_files_own_camera_is_used(tmp_path: Path) -> None:
+    """It hangs on a turned and moved node, 2 m ahead of where that stands."""
+    node, camera = translation_matrix((3, 1, 0)) @ rotation_matrix(np.pi / 2, (0, 1, 0)), translation_matrix((0, 0, -2))
+    box = trimesh.creation.box(bounds=[(-9, -9, -9), (-6, 9, 9)])  # the node looks along -x
+    document = json.loads(trimesh.exchange.gltf.export_gltf(trimesh.Scene(box))["model.gltf"])
+    box.export(tmp_path / "scene.glb")
+    first = len(document["nodes"])
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(box))
+    document["nodes"] += [
+        {"matrix": node.T.ravel().tolist(), "children": [first + 1]},
+        {"translation": camera[:3, 3].tolist(), "camera": 0},
+    ]
+    document["scenes"][0]["nodes"].append(first)
+    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.1}}]
+    for name, content in {**files, "model.gltf": json.dumps(document).encode()}.items():
+        (tmp_path / name).write_bytes(content)
+    pose = np.linalg.inv(OwnWorld(str(tmp_path / "model.gltf"))(0, 0).camera_from_world)
+    np.testing.assert_allclose(pose[:3, 3], (1, 0, 1), atol=1e-9)  # right 3 - 2, up 1
+    np.testing.assert_allclose(pose[:3, 2], (-1, 0, 0), atol=1e-9)
+    depth_m = render_frame(OwnWorld(str(tmp_path / "model.gltf"))(0, 0), CAMERA, None, right=False).depth_m
+    assert depth_m[18, 26] == pytest.approx(7.0)
+    assert gltf_camera(tmp_path / "scene.glb") is None
+
+
+BLEND = """
+import sys, bpy
+bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+bpy.ops.mesh.primitive_cube_add(size=2, location=(1, 5, 1.5))
+bpy.ops.object.modifier_add(type="MIRROR")
+material = bpy.data.materials.new("paint")
+material.use_nodes = True
+material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, 0.5, 0.5, 1)
+bpy.context.object.data.materials.append(material)
+bpy.ops.object.camera_add(location=(1, 0, 1.5), rotation=(1.5707963267948966, 0, 0))
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1])
+"""
+
+
+def test_a_blend_file_shows_what_blender_was_told(tmp_path: Path, blender_python: Path) -> None:
+    path = tmp_path / "scene.blend"
+    subprocess.run([blender_python, "-I", "-c", BLEND, path], check=True, capture_output=True)
+    world = OwnWorld(str(path))
+    assert_box_in_view(world)
+    np.testing.assert_allclose(seen_colours(render_frame, world)[:1], 186, atol=3)
+    geometry = Cycles(samples=1, denoise=False, threads=1, python=str(blender_python)).geometry(world(0, 0), CAMERA)
+    np.testing.assert_allclose(geometry.depth_m[8:29, 16:37], 4.0, atol=1e-4)
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *overrides: str) -> str:
+    """The one sentence with which the command refuses, and exits with 2."""
+    assert main(["render", "world=own", *overrides]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("depthreg render: ") and message.count("\n") == 1
+    return message
+
+
+BAD_FILES = {
+    "noise.glb": (b"\x80noise", "expected a sound .glb file"),
+    "noise.gltf": (b"{", "expected a sound .gltf file"),
+    "noise.ply": (b"noise", "expected a sound .ply file"),
+    "noise.stl": (b"noise", "holds no triangle"),
+    "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "holds no triangle"),
+    "flat.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "holds no triangle"),
+    "scene.fbx": (b"", "expected a scene file, .glb, .gltf, .obj, .ply, .stl or .blend"),
+    "missing.glb": (None, "no such file"),
+    "huge.obj": (b"v 0 0 0\nv 900 0 0\nv 0 900 0\nf 1 2 3\n", "world.scale below 1"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_file_that_cant_be_used_is_refused_in_one_sentence(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, reason = BAD_FILES[name]
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    message = complaint(capsys, f"world.path={tmp_path / name}", f"out={tmp_path / 'out'}")
+    assert str(tmp_path / name) in message and reason in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_broken_blend_file_is_refused_in_one_sentence(
+    tmp_path: Path, blender_python: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "noise.blend").write_bytes(b"noise")
+    message = complaint(capsys, f"world.path={tmp_path / 'noise.blend'}", f"out={tmp_path / 'out'}")
+    assert "expected a sound .blend file" in message
+
+
+def test_a_blend_file_without_blender_is_refused_in_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "scene.blend").write_bytes(b"")
+    monkeypatch.setenv("DEPTHREG_BLENDER_PYTHON", str(tmp_path / "nowhere"))
+    assert "make blender" in complaint(capsys, f"world.path={tmp_path / 'scene.blend'}", f"out={tmp_path / 'out'}")
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["path=null", "path=7", "up=x", "scale=0", "scale=much", "vary=1", "view_deg=180", "camera_position=3",
+     "camera_position=[1,2]", "look_at=[a,b,c]", "camera_position=[0.5,0.5,0.5]"],
+)  # fmt: skip
+def test_a_value_that_cant_be_meant_is_refused(
+    override: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "box.stl"
+    trimesh.creation.box(bounds=[(0, 0, 0), (1, 1, 1)]).export(path)
+    assert f"world.{override.partition('=')[0]}" in complaint(
+        capsys, f"world.path={path}", f"world.{override}", f"out={tmp_path}/o"
+    )
+
+
+def test_the_command_renders_a_frame_from_each_viewpoint(tmp_path: Path) -> None:
+    picture_scene(tmp_path / "poster.glb")
+    small = ["camera.width=53", "camera.height=37", "camera.focal_px=40", "sensor=clean", "workers=1"]
+    assert main(["render", "world=own", f"world.path={tmp_path / 'poster.glb'}", *small, f"out={tmp_path}/out"]) == 0
+    assert len({path.read_bytes() for path in (tmp_path / "out").glob("*/depth.png")}) == 8
