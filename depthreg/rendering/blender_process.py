@@ -254,10 +254,15 @@ def render(job: Job) -> None:
 
 
 def export(job: Job) -> None:
-    """Turn a .blend file into glTF, with modifiers applied and without running the scripts that it carries."""
+    """Turn what a .blend file would render into glTF: one camera, modifiers applied, none of its scripts run."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.wm.open_mainfile(filepath=job["blend"], load_ui=False, use_scripts=False)
-    bpy.ops.export_scene.gltf(filepath=job["out"], export_format="GLB", export_cameras=True, export_apply=True)
+    scene = bpy.context.scene
+    for thing in scene.objects:
+        if thing.type == "CAMERA":
+            thing.hide_render = thing != scene.camera
+    what = {"use_renderable": True, "use_active_scene": True, "export_cameras": True, "export_apply": True}
+    bpy.ops.export_scene.gltf(filepath=job["out"], export_format="GLB", **what)
 
 
 TASKS: dict[str, Callable[[Job], None]] = {"render": render, "export": export}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from depthreg.worlds.scene import SceneObject
-from depthreg.worlds.textures import LINEAR
+from depthreg.worlds.textures import LINEAR, TILE
 
 
 @dataclass(frozen=True)
@@ -16,10 +16,14 @@ class Pictures:
     Attributes:
         texels: Of one picture after the other, (R, 3) uint8.
         start: Row where each object's picture starts, -1 where it has none, (O,) int32.
+        texels_per_m: Density of each object's picture, (O,) float32; 0 where it has none.
+        uv: Where the corners of the faces lie in their pictures, (F, 3, 2), of the objects with pictures alone.
     """
 
     texels: np.ndarray
     start: np.ndarray
+    texels_per_m: np.ndarray
+    uv: np.ndarray
 
     def lay(self, color: np.ndarray, tint: np.ndarray, object_id: np.ndarray, texel: np.ndarray) -> None:
         """Replace the colours of points on objects that have a picture.
@@ -41,6 +45,7 @@ def gather_pictures(objects: Sequence[SceneObject]) -> Pictures | None:
     starts: dict[int, int] = {}  # by the texels' identity: objects share them
     texels: list[np.ndarray] = []
     start = np.full(len(objects), -1, dtype=np.int32)
+    density = np.zeros(len(objects), dtype=np.float32)
     for number, thing in enumerate(objects):
         if thing.picture is None:
             continue
@@ -48,8 +53,11 @@ def gather_pictures(objects: Sequence[SceneObject]) -> Pictures | None:
         if key not in starts:
             starts[key] = sum(map(len, texels))
             texels.append(thing.picture.texels)
-        start[number] = starts[key]
-    return Pictures(np.concatenate(texels), start) if texels else None
+        start[number], density[number] = starts[key], TILE * thing.picture.tiles_per_m
+    if not texels:
+        return None
+    uv = np.concatenate([thing.picture.uv for thing in objects if thing.picture is not None])
+    return Pictures(np.concatenate(texels), start, density, uv)
 
 
 def texture_rows(corners: np.ndarray, uv: np.ndarray) -> np.ndarray:

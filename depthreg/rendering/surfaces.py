@@ -181,21 +181,19 @@ def merge(scene: Scene, origin_m: np.ndarray) -> Surfaces:
     paint = np.array([(*m.color, *m.second_color, m.gloss) for m in materials], dtype=np.float32).T
     paint[3:6] -= paint[:3]
     texture = _texture_table(normal, object_id, materials, origin_m)
-    tiles_per_m = np.array([1 / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials])
+    texels_per_m = np.array([TILE / (m.scale_m * PATTERNS[m.pattern].repeats) for m in materials], dtype=np.float32)
     laid = gather_pictures(scene.objects)
     if laid is not None:
-        there = laid.start >= 0
-        rows = np.flatnonzero(there[object_id])
-        found = [o.picture for o in scene.objects if o.picture is not None]
-        texture[:8, rows] = texture_rows(points[corners[rows]], np.concatenate([p.uv for p in found]))
-        tiles_per_m[there] = [p.tiles_per_m for p in found]
+        rows = np.flatnonzero(laid.start[object_id] >= 0)
+        texture[:8, rows] = texture_rows(points[corners[rows]], laid.uv)
+        texels_per_m = np.where(laid.start >= 0, laid.texels_per_m, texels_per_m)
     return Surfaces(
         tree=RayTree(points, corners),
         origin_m=origin_m,
         normal=np.where(away, -normal.T, normal.T),
         object_id=object_id,
         texture=texture,
-        texels_per_m=(TILE * tiles_per_m).astype(np.float32),
+        texels_per_m=texels_per_m,
         texture_start=np.array([texture_start(m.pattern) for m in materials], dtype=np.int32),
         paint=np.ascontiguousarray(paint),
         pictures=laid,

@@ -1,6 +1,8 @@
 """Scene files of a user's own, as objects of a world: glTF, OBJ, PLY, STL, and what Blender saves."""
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +23,7 @@ _Y_UP_KINDS = (".glb", ".gltf", ".blend")  # by their standard; Blender's files 
 _WORLD_FROM_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
 _GREY: RGB = (0.5, 0.5, 0.5)  # of what has no colour
 _WHITE: RGB = (1.0, 1.0, 1.0)
-_REASON_LENGTH = 200
+_REASON_LENGTH = 200  # characters of what another library says of a broken file
 _EXPORT_S = 600.0  # Blender may need that long for a large scene
 
 
@@ -62,43 +64,46 @@ def read_scene_file(path: str, up: str, scale: float) -> SceneFile:
 def _read(path: Path, changed_ns: int, up: str, scale: float) -> SceneFile:
     """Read what there is at a path since a time."""
     kind = path.suffix.lower()
-    content, camera = _exported(path) if kind == ".blend" else _loaded(path, path)
     world_from_file = _WORLD_FROM_Y_UP if kind in _Y_UP_KINDS or up == "y" else np.eye(4)
     world_from_file = np.diag([scale, scale, scale, 1.0]) @ world_from_file
     looks = _Looks(linear=kind in _Y_UP_KINDS)
-    for node in content.graph.nodes_geometry:
-        pose, name = content.graph[node]
-        if isinstance(content.geometry[name], trimesh.Trimesh):
-            looks.add(name, content.geometry[name], world_from_file @ pose)
+    with _naming(path):
+        content, camera = _exported(path) if kind == ".blend" else _loaded(path)
+        for node in content.graph.nodes_geometry:
+            pose, name = content.graph[node]
+            if isinstance(content.geometry[name], trimesh.Trimesh):
+                looks.add(name, content.geometry[name], world_from_file @ pose)
     objects = looks.finished()
     if not objects:
         raise InputError(f"world.path={path}: it holds no triangle; expected a scene with at least one")
     return SceneFile(objects, None if camera is None else _rigid_pose(world_from_file @ camera))
 
 
-def _loaded(path: Path, named: Path) -> tuple[trimesh.Scene, np.ndarray | None]:
-    """The content and the camera's pose of a file that the user knows by the name `named`."""
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Say in one sentence which file is broken."""
     try:
-        return trimesh.load(path, force="scene", process=False), gltf_camera(path)
+        yield
+    except InputError:
+        raise
     except Exception as error:  # of whatever kind a broken file provokes in the readers of six formats
         reason = " ".join(str(error).split())[:_REASON_LENGTH] or type(error).__name__
-        raise InputError(
-            f"world.path={named} can't be read: expected a sound {named.suffix} file ({reason})"
-        ) from error
+        raise InputError(f"world.path={path} can't be read: expected a sound {path.suffix} file ({reason})") from error
+
+
+def _loaded(path: Path) -> tuple[trimesh.Scene, np.ndarray | None]:
+    """The content of a file, and the pose of its camera."""
+    return trimesh.load(path, force="scene", process=False), gltf_camera(path)
 
 
 def _exported(path: Path) -> tuple[trimesh.Scene, np.ndarray | None]:
-    """The content of Blender's own file, turned into glTF by Blender."""
+    """The same of Blender's own file, which Blender turns into glTF."""
     python = blender.find_python()
     with tempfile.TemporaryDirectory(prefix="depthreg-blender-") as folder:
         exported = Path(folder) / "scene.glb"
         job = {"task": "export", "blend": str(path.absolute()), "out": str(exported)}
-        try:
-            blender.ask(python, job, _EXPORT_S)
-        except RuntimeError as error:
-            reason = " ".join(str(error).split())[:_REASON_LENGTH]
-            raise InputError(f"world.path={path} can't be read: expected a sound .blend file ({reason})") from error
-        return _loaded(exported, path)
+        blender.ask(python, job, _EXPORT_S)
+        return _loaded(exported)
 
 
 class _Looks:
@@ -148,7 +153,7 @@ class _Looks:
         if id(image) not in self.texels:
             self.texels[id(image)] = picture_texels(np.asarray(image.convert("RGB")))
             self.images.append(image)
-        corners_uv = np.asarray(uv, np.float64)[mesh.faces[faces]]
+        corners_uv = np.nan_to_num(np.asarray(uv, np.float64))[mesh.faces[faces]]
         tiles = np.abs(np.linalg.det(corners_uv[:, 1:] - corners_uv[:, :1])).sum() / 2
         return Picture(self.texels[id(image)], corners_uv, float(np.sqrt(tiles / area_m2)))
 

@@ -14,20 +14,12 @@ from trimesh.visual.texture import TextureVisuals
 
 from depthreg.cli import main
 from depthreg.rendering import Camera, Cycles, Renderer, render_frame
-from depthreg.rendering.pictures import texture_rows
 from depthreg.worlds import OwnWorld
 from depthreg.worlds.gltf_camera import gltf_camera
-from depthreg.worlds.textures import palette_texels, picture_texels
 
 CAMERA = Camera(width=53, height=37, focal_px=45.0, center_px=(26, 18))
 AHEAD = {"camera_position": (1.0, 0.0, 1.5), "look_at": (1.0, 10.0, 1.5)}
 ORANGE, TEAL = (230, 120, 20), (10, 130, 140)
-
-
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same draws in each test."""
-    return np.random.default_rng(0)
 
 
 @pytest.fixture
@@ -168,30 +160,6 @@ def test_gltf_colours_are_linear(tmp_path: Path) -> None:
         np.testing.assert_allclose(seen_colours(render_frame, world), 186, atol=3)
 
 
-def test_texture_coordinates_are_affine_on_each_face(rng: np.random.Generator) -> None:
-    corners, uv = rng.uniform(-9, 9, (31, 3, 3)), rng.uniform(-3, 3, (31, 3, 2))
-    share = rng.dirichlet(np.ones(3), 31)  # barycentric coordinates of a point on each face
-    points, expected = (np.einsum("fc,fck->fk", share, values) for values in (corners, uv))
-    rows = texture_rows(corners, uv)
-    found = np.stack([np.einsum("kf,fk->f", rows[i : i + 3], points) + rows[i + 3] for i in (0, 4)], axis=-1)
-    np.testing.assert_allclose((found - expected + 0.5) % 1, 0.5, atol=1e-6)  # but for whole tiles
-
-
-def test_a_picture_keeps_its_light_in_every_mip_level() -> None:
-    """A fine board of black and white is a grey of half the light from afar: 255 * 0.5 ** (1 / 2.2)."""
-    board = np.uint8(255) * (np.indices((1024, 1024)).sum(axis=0)[..., None] // 2 % 2).astype(np.uint8)
-    texels = picture_texels(np.repeat(board, 3, axis=2))
-    assert len(texels) == sum(4**level for level in range(10))
-    assert np.abs(texels[-1].astype(int) - 186).max() <= 1
-
-
-def test_more_colours_than_a_palette_holds_are_rounded() -> None:
-    colors = np.stack(np.unravel_index(np.arange(300_000) * 50, (256, 256, 256)), axis=-1).astype(np.uint8)
-    texels, uv = palette_texels(colors)
-    column, row = np.floor(uv[:, 0] * 512).astype(int).T
-    assert np.abs(texels[512 * row + column].astype(int) - colors).max() <= 3
-
-
 def test_the_files_own_camera_is_used(tmp_path: Path) -> None:
     """It hangs on a turned and moved node, 2 m ahead of where that stands."""
     node, camera = translation_matrix((3, 1, 0)) @ rotation_matrix(np.pi / 2, (0, 1, 0)), translation_matrix((0, 0, -2))
@@ -225,7 +193,11 @@ material = bpy.data.materials.new("paint")
 material.use_nodes = True
 material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.5, 0.5, 0.5, 1)
 bpy.context.object.data.materials.append(material)
+bpy.ops.mesh.primitive_cube_add(size=1, location=(1, 2, 1.5))
+bpy.context.object.hide_render = True
+bpy.ops.object.camera_add(location=(0, 0, 9))
 bpy.ops.object.camera_add(location=(1, 0, 1.5), rotation=(1.5707963267948966, 0, 0))
+bpy.context.scene.camera = bpy.context.object
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[-1])
 """
 
@@ -246,6 +218,14 @@ def complaint(capsys: pytest.CaptureFixture[str], *overrides: str) -> str:
     message = capsys.readouterr().err
     assert message.startswith("depthreg render: ") and message.count("\n") == 1
     return message
+
+
+def test_a_broken_picture_is_refused_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture_scene(tmp_path / "poster.obj")
+    (picture,) = tmp_path.glob("*.png")
+    picture.write_bytes(picture.read_bytes()[:60])
+    message = complaint(capsys, f"world.path={tmp_path / 'poster.obj'}", f"out={tmp_path / 'out'}")
+    assert "poster.obj" in message and "expected a sound .obj file" in message
 
 
 BAD_FILES = {
