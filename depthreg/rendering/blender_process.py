@@ -254,13 +254,13 @@ def render(job: Job) -> None:
 
 
 def export(job: Job) -> None:
-    """Turn what a .blend file would render into glTF: one camera, modifiers applied, none of its scripts run."""
+    """Turn what a .blend file would render into glTF: modifiers applied, none of its scripts run."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.wm.open_mainfile(filepath=job["blend"], load_ui=False, use_scripts=False)
     scene = bpy.context.scene
     for thing in scene.objects:
-        if thing.type == "CAMERA":
-            thing.hide_render = thing != scene.camera
+        if thing.type == "CAMERA":  # readers take the first: that has to be the active one, where one is
+            thing.hide_render = scene.camera not in (None, thing)
     what = {"use_renderable": True, "use_active_scene": True, "export_cameras": True, "export_apply": True}
     bpy.ops.export_scene.gltf(filepath=job["out"], export_format="GLB", **what)
 

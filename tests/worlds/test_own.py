@@ -212,6 +212,15 @@ def test_a_blend_file_shows_what_blender_was_told(tmp_path: Path, blender_python
     np.testing.assert_allclose(geometry.depth_m[8:29, 16:37], 4.0, atol=1e-4)
 
 
+def test_a_blend_files_only_camera_is_used_even_if_it_isnt_active(tmp_path: Path, blender_python: Path) -> None:
+    path = tmp_path / "scene.blend"
+    script = BLEND.replace("bpy.ops.object.camera_add(location=(0, 0, 9))", "").replace(
+        "scene.camera =", "scene.camera = None #"
+    )
+    subprocess.run([blender_python, "-I", "-c", script, path], check=True, capture_output=True)
+    assert_box_in_view(OwnWorld(str(path)))
+
+
 def complaint(capsys: pytest.CaptureFixture[str], *overrides: str) -> str:
     """The one sentence with which the command refuses, and exits with 2."""
     assert main(["render", "world=own", *overrides]) == 2
