@@ -40,7 +40,22 @@ def compose_affines(outer: Tensor, inner: Tensor) -> Tensor:
 
 def transform_points(affine: Tensor, points_px: Tensor) -> Tensor:
     """Move points (..., N, 2) given as (x, y) by affines (..., 2, 3)."""
-    return exact_product(points_px, affine[..., :2].transpose(-1, -2)) + affine[..., None, :, 2]
+    x, y = points_px.unbind(-1)  # not a matrix product, which mixed precision would round to half precision
+    rows = affine[..., None].unbind(-3)  # (..., 3, 1) each
+    return torch.stack([a * x + b * y + shift for a, b, shift in (row.unbind(-2) for row in rows)], dim=-1)
+
+
+def affine_places(affine: Tensor, size: tuple[int, int]) -> Tensor:
+    """Where affines (B, 2, 3) put each pixel centre of an image of that height and width, (x, y), (B, H, W, 2).
+
+    `transform_points` of `pixel_grid`, for less: a column's part is computed once for all its pixels, a row's too.
+    """
+    y, x = (torch.arange(side, device=affine.device, dtype=affine.dtype) for side in size)
+    rows = affine[..., None, None].unbind(1)  # (B, 3, 1, 1) each
+    return torch.stack(
+        [a * x + b * y[:, None] + shift for a, b, shift in (row.unbind(1) for row in rows)],
+        dim=-1,
+    )
 
 
 def pixel_grid(
@@ -55,6 +70,12 @@ def pixel_grid(
     return torch.stack([x, y], dim=-1)
 
 
+def samples_at(image: Tensor, xy_px: Tensor) -> Tensor:
+    """The samples (B, C, H', W') of `sample_at` alone: whether they lie inside takes as long again to tell."""
+    last = xy_px.new_tensor([image.shape[-1] - 1, image.shape[-2] - 1])
+    return F.grid_sample(image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True)
+
+
 def sample_at(image: Tensor, xy_px: Tensor) -> tuple[Tensor, Tensor]:
     """Bilinear samples of an image at pixel positions.
 
@@ -67,10 +88,9 @@ def sample_at(image: Tensor, xy_px: Tensor) -> tuple[Tensor, Tensor]:
     """
     height, width = image.shape[-2:]
     last = xy_px.new_tensor([width - 1, height - 1])
-    samples = F.grid_sample(image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True)
     # A thousandth of a pixel forgives rounding at the border of an identity warp.
     inside = ((xy_px >= -1e-3) & (xy_px <= last + 1e-3)).all(dim=-1)[:, None]
-    return samples, inside
+    return samples_at(image, xy_px), inside
 
 
 def warp_affine(image: Tensor, affine: Tensor, size: tuple[int, int] | None = None) -> tuple[Tensor, Tensor]:
@@ -84,9 +104,7 @@ def warp_affine(image: Tensor, affine: Tensor, size: tuple[int, int] | None = No
     Returns:
         The warped image (B, C, H', W'), zero where it looks outside, and a bool mask (B, 1, H', W') of what it saw.
     """
-    height, width = size or image.shape[-2:]
-    grid = pixel_grid(height, width, device=image.device, dtype=affine.dtype).reshape(1, -1, 2)
-    xy_px = transform_points(affine, grid.expand(len(affine), -1, -1)).unflatten(1, (height, width))
+    xy_px = affine_places(affine, size or (image.shape[-2], image.shape[-1]))
     return sample_at(image, xy_px.to(image.dtype))
 
 

@@ -4,10 +4,13 @@ All randomness is drawn on the CPU, so that a generator's seed gives the same fi
 """
 
 import math
+from functools import reduce
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from depthreg.sensors.windows import shifted
 
 # Squared weights of the 7 px kernel below, (1, 2, 3, 3, 3, 2, 1) / 15, summed over one axis: what smoothing leaves.
 _KERNEL_POWER = 37 / 225
@@ -20,9 +23,10 @@ def correlated_noise(shape: torch.Size, generator: torch.Generator | None, devic
     """
     batch, channels, height, width = shape
     white = torch.randn(batch, channels, height + 6, width + 6, generator=generator).to(device)
-    for kernel in ((1, 5), (1, 3), (5, 1), (3, 1)):
-        white = F.avg_pool2d(white, kernel, stride=1)
-    return white / _KERNEL_POWER
+    for axis in (-1, -2):
+        for side in (5, 3):
+            white = reduce(torch.add, shifted(white, axis, side))
+    return white / (15 * 15 * _KERNEL_POWER)
 
 
 def blotches(shape: torch.Size, cell_px: float, generator: torch.Generator | None, device: torch.device) -> Tensor:

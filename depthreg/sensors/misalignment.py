@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from depthreg.geometry import corner_errors_px, identity_affine, invert_affine, warp_affine
+from depthreg.geometry import affine_places, corner_errors_px, identity_affine, invert_affine, samples_at
 
 REFERENCE_WIDTH_PX = 1242  # shifts are stated for a KITTI image and scale with the width
 
@@ -69,7 +69,7 @@ def misalign_rgb(rgb_with_margin: Tensor, affine_rgb_from_depth: Tensor, margin_
     height, width = (side - 2 * margin_px for side in rgb_with_margin.shape[-2:])
     depth_from_rgb = invert_affine(affine_rgb_from_depth)
     into_margin = depth_from_rgb + depth_from_rgb.new_tensor([[0, 0, margin_px], [0, 0, margin_px]])
-    return warp_affine(rgb_with_margin, into_margin, (height, width))[0]
+    return samples_at(rgb_with_margin, affine_places(into_margin, (height, width)))
 
 
 def margin_for(max_corner_shift_px: float) -> int:

@@ -92,6 +92,8 @@ class Mix:
         measured_m = torch.zeros_like(truth_m)
         for number, sensor in enumerate(self.sensors.values()):
             index = (drawn == number).nonzero()[:, 0]
+            if len(index) == len(drawn):  # nested ones mostly; a batch is large to copy
+                return sensor(frames, difficulty, generator)
             if len(index):
                 measured_m[index.to(truth_m.device)] = sensor(take(frames, index), difficulty, generator)
         return measured_m

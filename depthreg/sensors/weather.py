@@ -16,7 +16,7 @@ from torch import Tensor
 
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
-from depthreg.geometry import invert_affine, pixel_grid, sample_at, transform_points
+from depthreg.geometry import affine_places, invert_affine, samples_at
 from depthreg.sensors.color import GAMMA, change_some, rays, sensor_noise
 from depthreg.sensors.mix import median_depth_m
 from depthreg.sensors.rain import draw_streaks, rain_extinction_per_m, random_streaks
@@ -40,11 +40,9 @@ def range_in_view(depth_m: Tensor, affine_rgb_from_depth: Tensor, intrinsics: Te
     """
     height, width = depth_m.shape[-2:]
     inverse = torch.where(depth_m > 0, 1 / depth_m.clamp(min=1e-3), 0)
-    grid = pixel_grid(height, width, device=depth_m.device, dtype=depth_m.dtype).reshape(1, -1, 2)
-    places_px = transform_points(invert_affine(affine_rgb_from_depth), grid.expand(len(depth_m), -1, -1))
+    places_px = affine_places(invert_affine(affine_rgb_from_depth), (height, width))
     last = places_px.new_tensor([width - 1, height - 1])
-    places_px = places_px.minimum(last).clamp(min=0).unflatten(1, (height, width))
-    moved, _ = sample_at(inverse, places_px)
+    moved = samples_at(inverse, places_px.minimum(last).clamp(min=0))
     return rays(intrinsics, (height, width)).norm(dim=1, keepdim=True) / moved.clamp(min=1 / _FARTHEST_M)
 
 
