@@ -18,7 +18,7 @@ import torch
 from likeness import classifier, pictures
 from likeness.depth_cameras import DEPTH_CAMERAS, DepthCamera, depth_samples, real_depth_frames
 from likeness.distances import compare
-from likeness.frames import DepthImage, real_lidar_frames, simulated_frames
+from likeness.frames import FOLDERS, DepthImage, real_lidar_frames, simulated_frames
 from likeness.lidar import lidar_samples
 from rich.console import Console
 from rich.table import Table
@@ -27,12 +27,16 @@ from depthreg.worlds import DrivingWorld, HouseholdWorld
 
 
 def tell_apart(real: Sequence[DepthImage], simulated: Sequence[DepthImage], seeds: int) -> dict[str, dict[str, float]]:
-    """AUC of the small classifier, mean and spread over seeds, with controls that hold no difference."""
+    """AUC of the small classifier, mean and spread over seeds; controls hold no difference, or one that has to show."""
     found = {
         f"simulated from real, {channels}": classifier.auc(real, simulated, seeds, channels)
         for channels in classifier.CHANNELS
     }
+    for name, tuned in (("tuned on", True), ("held out", False)):  # some frames are for looking at, others for judging
+        some = [frame for frame in real if frame.group.startswith("object_") is tuned]
+        found[f"simulated from real, frames {name}"] = classifier.auc(some, simulated, seeds)
     found["real from real, random halves"] = classifier.auc_within(real, seeds)
+    found["real from real with a tenth dropped"] = classifier.auc_within(real, seeds, classifier.drop_a_tenth)
     found["simulated from simulated, random halves"] = classifier.auc_within(simulated, seeds)
     return {name: {"auc": mean, "std": std} for name, (mean, std) in found.items()}
 
@@ -128,14 +132,13 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=5, help="classifiers trained for each question; 0 = none")
     parser.add_argument("--difficulty", type=float, default=1.0, help="of the sensors, from 0 to 1")
-    parser.add_argument(
-        "--only", nargs="+", choices=["hdl64", *kinds], default=["hdl64", "active_stereo"], help="sensors"
-    )
+    parser.add_argument("--only", nargs="+", choices=["hdl64", *kinds], default=["hdl64", *kinds], help="sensors")
     parser.add_argument("--sensor", nargs="*", default=[], metavar="KEY=VALUE", help="other settings of the LiDAR")
     arguments = parser.parse_args()
     root = Path(os.environ.get("DEPTHREG_REAL_DATA", Path(__file__).resolve().parents[2] / "shared/real"))
-    if not root.is_dir():
-        parser.error(f"no real frames at {root}: set DEPTHREG_REAL_DATA to their folder")
+    missing = [name for name in FOLDERS if not (root / name).is_dir()]
+    if missing:
+        parser.error(f"no real frames in {root / missing[0]}: set DEPTHREG_REAL_DATA to the folder that holds them")
     torch.set_num_threads(1)
     arguments.out.mkdir(parents=True, exist_ok=True)
     results = {}

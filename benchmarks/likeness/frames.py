@@ -20,6 +20,20 @@ from depthreg.worlds.scene import Scene
 MAX_RANGE_M = 80.0  # no return of KITTI's recordings is farther
 SEED = 90210  # of the simulated scenes; training draws other ones
 
+FOLDERS = (  # of real frames, all of them needed
+    "kitti_odom_04",
+    "kitti_raw_0048",
+    "kitti_object_a",
+    "kitti_dc_official",
+    "kinect_7scenes",
+    "nyu",
+    "tum_rgbd",
+    "open3d_rgbd",
+    "stereo_depth_cam_lingbot",
+    "graspnet_realsense",
+    "rgbdd_tof",
+)
+
 # The benchmark of depth completion: KITTI's first camera, cropped to the lower 352 rows and the central 1216 columns.
 _CROPPED = Camera(1216, 352, 721.5377, (609.5593 - 13, 172.854 - 23))
 

@@ -85,7 +85,16 @@ class DrivingWorld:
         pose, light = poses.camera_from_world((x, y, z), yaw, pitch, roll), _weather(rng)
         speed_m_per_s = rng.uniform(0, min(style.traffic_gap_m / 2, 30))  # drivers keep two seconds' distance
         velocity = tuple((speed_m_per_s * pose[2, :3]).tolist())  # along the optical axis
-        return Scene(objects, light, pose, poses.lidar_from_camera(), velocity_m_per_s=velocity)
+        lidar = poses.lidar_from_camera(poses.KITTI_LIDAR_IN_COLOUR_CAMERA_M, _mounting(rng))
+        return Scene(objects, light, pose, lidar, velocity_m_per_s=velocity)
+
+
+def _mounting(rng: np.random.Generator) -> tuple[float, float, float]:
+    """How the LiDAR is turned against the camera, degrees: no car's is level.
+
+    KITTI's calibrations: right side up by 0.5 to 0.7, nose down by -0.4 to 0.6, sideways by 0.3 at most.
+    """
+    return float(rng.normal(-0.6, 0.1)), float(rng.uniform(-0.4, 0.7)), float(rng.normal(0.0, 0.15))
 
 
 def _weather(rng: np.random.Generator) -> Light:

@@ -8,7 +8,8 @@ _WORLD_FROM_LEVEL_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.
 # Rows: the LiDAR's forward, left and up in a camera of right, down and forward.
 _LIDAR_AXES_IN_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
-KITTI_LIDAR_IN_CAMERA_M = (-0.004, -0.076, -0.272)  # the rig's published translation
+KITTI_LIDAR_IN_CAMERA_M = (-0.004, -0.076, -0.272)  # the rig's published translation, to its first camera
+KITTI_LIDAR_IN_COLOUR_CAMERA_M = (0.056, -0.075, -0.272)  # that camera is 6 cm to the left of it: P2 of its calibration
 
 
 def camera_from_world(
@@ -31,13 +32,19 @@ def camera_from_world(
     return _rigid(world_from_camera.T, -world_from_camera.T @ np.asarray(position_m))
 
 
-def lidar_from_camera(lidar_in_camera_m: tuple[float, float, float] = KITTI_LIDAR_IN_CAMERA_M) -> np.ndarray:
-    """Transform into a LiDAR (x forward, y left, z up) that looks the camera's way, (4, 4).
+def lidar_from_camera(
+    lidar_in_camera_m: tuple[float, float, float] = KITTI_LIDAR_IN_CAMERA_M,
+    turns_deg: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> np.ndarray:
+    """Transform into a LiDAR (x forward, y left, z up) that looks roughly the camera's way, (4, 4).
 
     Args:
         lidar_in_camera_m: The LiDAR's origin in camera coordinates.
+        turns_deg: How it is turned against the camera about its own axes, forward, left and up, in this order:
+            its right side down, its nose down, its nose to the left.
     """
-    return _rigid(_LIDAR_AXES_IN_CAMERA, -_LIDAR_AXES_IN_CAMERA @ np.asarray(lidar_in_camera_m))
+    axes = Rotation.from_euler("xyz", turns_deg, degrees=True).as_matrix().T @ _LIDAR_AXES_IN_CAMERA
+    return _rigid(axes, -axes @ np.asarray(lidar_in_camera_m))
 
 
 def _rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:

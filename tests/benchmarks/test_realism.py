@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -207,6 +210,26 @@ def test_another_pattern_and_another_depth_are_told_apart_by_who_sees_them() -> 
     assert _auc(scattered, combed, "validity only") > 0.95
     assert _auc(scattered, far, "depth only") > 0.95
     assert _auc(scattered, far, "validity only") == pytest.approx(0.5, abs=0.15)
+
+
+def test_a_tenth_dropped_is_a_tenth_and_the_same_for_a_seed() -> None:
+    frame = DepthImage(np.full((97, 211), 7.0, np.float32), CAMERA, "a")
+    spoilt = classifier.drop_a_tenth(frame, 3).depth_m
+    assert (spoilt == 0).mean() == pytest.approx(0.1, abs=0.01) and set(np.unique(spoilt)) == {0, 7}
+    np.testing.assert_array_equal(spoilt, classifier.drop_a_tenth(frame, 3).depth_m)
+
+
+def test_a_folder_without_real_frames_is_one_sentence(tmp_path: Path) -> None:
+    script = Path(__file__).parents[2] / "benchmarks/realism.py"
+    paths = os.pathsep.join([str(script.parent), str(script.parents[1])])
+    found = subprocess.run(
+        [sys.executable, str(script), "--out", str(tmp_path / "out")],
+        env=os.environ | {"DEPTHREG_REAL_DATA": str(tmp_path), "PYTHONPATH": paths},
+        text=True,
+        capture_output=True,
+    )
+    assert found.returncode == 2 and not (tmp_path / "out").exists()
+    assert found.stderr.splitlines()[-1].startswith(f"realism.py: error: no real frames in {tmp_path}")
 
 
 def test_filling_hides_where_the_returns_were() -> None:

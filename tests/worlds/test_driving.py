@@ -52,7 +52,9 @@ def test_the_camera_rides_in_its_lane_at_its_height(style: str) -> None:
         assert position[2] == pytest.approx(1.65, abs=0.25)
         assert 0 < position[0] < STYLES[style].lanes * STYLES[style].lane_m
         lidar = np.linalg.inv(scene.lidar_from_camera)[:3, 3]
-        np.testing.assert_allclose(lidar, [-0.004, -0.076, -0.272])  # KITTI's calibration
+        np.testing.assert_allclose(lidar, [0.056, -0.075, -0.272])  # KITTI's calibration of its left colour camera
+        turned = Rotation.from_matrix(scene.lidar_from_camera[:3, :3] @ [[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+        assert 0.1 < np.rad2deg(turned.magnitude()) < 1.5  # it says 0.6 to 0.9 degrees
 
 
 @pytest.mark.parametrize("style", sorted(STYLES))

@@ -42,3 +42,17 @@ def test_the_lidar_sits_where_kittis_calibration_puts_it() -> None:
 def test_the_lidar_has_x_forward_y_left_and_z_up() -> None:
     pose = lidar_from_camera((0.0, 0.0, 0.0))
     np.testing.assert_allclose(_move(pose, (2.0, 3.0, 5.0)), [5.0, -2.0, -3.0])
+
+
+@pytest.mark.parametrize(
+    ("turns_deg", "ahead"),
+    [((0.0, 5.0, 0.0), (0.0, 1.0)), ((0.0, 0.0, 5.0), (-1.0, 0.0)), ((5.0, 0.0, 0.0), (0.0, 0.0))],
+)
+def test_a_turned_lidar_looks_down_left_or_rolls(
+    turns_deg: tuple[float, float, float], ahead: tuple[float, float]
+) -> None:
+    camera_from_lidar = np.linalg.inv(lidar_from_camera(turns_deg=turns_deg))[:3, :3]
+    sine = np.sin(np.deg2rad(5))
+    # Its forward axis in the camera's right and down; rolling, its left axis goes up as its right side goes down.
+    np.testing.assert_allclose(camera_from_lidar[:2, 0], sine * np.array(ahead), atol=1e-12)
+    np.testing.assert_allclose(camera_from_lidar[1, 1], -sine * (turns_deg[0] > 0), atol=1e-12)
