@@ -5,6 +5,7 @@ half that stand between two beams, and the few centimetres between a rotating la
 """
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,16 +22,19 @@ _BISECTIONS = 2  # after them, an edge's place in the beam is known to an eighth
 
 @dataclass(frozen=True)
 class _Beams:
-    """Beams of one sweep on a grid of R rings and C columns, ring by ring: N = R * C. World axes."""
+    """Beams of one sweep on a grid of R rings and C columns, ring by ring: N = R * C. World axes.
+
+    Vectors are (3, N), because NumPy is quick along the last axis only.
+    """
 
     grid: tuple[int, int]  # R, C
     angles_rad: tuple[np.ndarray, np.ndarray]  # from each to its neighbour below, (R - 1, 1), and beside it, (1, 1)
     first_ring: int
-    start: np.ndarray  # (N, 3) float32, where each pulse leaves; metres from the camera
-    rays: np.ndarray  # (N, 3) float32, unit
-    misplaced_m: np.ndarray  # (N, 3) float32, by how much of its motion the scanner errs
+    start: np.ndarray  # (3, N) float32, where each pulse leaves; metres from the camera
+    rays: np.ndarray  # (3, N) float32, unit
+    misplaced_m: np.ndarray  # (3, N) float32, by how much of its motion the scanner errs
     slip_rad: np.ndarray  # (N,) float32, by what angle about its axis it errs in the direction
-    left: np.ndarray  # (3, 3) float32, `ray @ left` is how a ray moves where it is turned about that axis
+    left: np.ndarray  # (3, 3) float32, `left @ ray` is how a ray moves where it is turned about that axis
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,15 @@ class _Echoes:
     def take(self, some: np.ndarray) -> "_Echoes":
         """Some of them, by their numbers."""
         return _Echoes(*(values.take(some) for values in vars(self).values()))
+
+
+class _Places(NamedTuple):
+    """Where returns of n beams lie."""
+
+    rays: np.ndarray  # (3, n) float32, as the scanner states them
+    uv_px: np.ndarray  # (2, n) float32
+    depth_m: np.ndarray  # (n,) float32
+    inside: np.ndarray  # (n,) bool, whether that is in the camera's image
 
 
 def no_returns() -> LidarReturns:
@@ -68,10 +81,14 @@ def scan_scene(
     """
     rotation = world_from_camera[:3, :3].astype(np.float32)
     beams = _aim(scene, camera, scan, rotation)
-    hits = surfaces.cast(beams.start, beams.rays)
-    near = far = _echoes(surfaces, hits, len(beams.rays), scan)
-    near_share = np.ones(len(beams.rays), np.float32)
-    split, towards = _candidates(near, beams)
+    hits = surfaces.cast(beams.start.T, beams.rays.T)
+    near = far = _echoes(surfaces, hits, beams.rays.shape[1], scan)
+    near_share = np.ones(beams.rays.shape[1], np.float32)
+    split, nearest_m, towards = _candidates(near, beams)
+    # Rim rays are the costly ones: none for what can't be reported, as too far away or outside the image.
+    shown = nearest_m <= scan.max_range_m
+    shown[shown] = _project(beams, split[shown], nearest_m[shown], camera, rotation).inside
+    split, towards = split[shown], towards[:, shown]
     if len(split):
         split, other, other_share = _split(surfaces, near, beams, split, towards, scan)
         near, far, near_share = _sort(near, split, other, other_share, scan.max_range_m)
@@ -103,18 +120,18 @@ def _aim(scene: Scene, camera: Camera, scan: ScanPattern, rotation: np.ndarray) 
     rings = np.flatnonzero((elevation_deg >= lowest) & (elevation_deg <= high))
     steps_rad = -np.diff(np.deg2rad(elevation_deg[rings])).astype(np.float32)
     up, grid = world_from_lidar[:, 2], (len(rings), len(firings.slip_rad))
-    moved_m = firings.time_s[rings][..., None] * np.asarray(scene.velocity_m_per_s, dtype=np.float32)
-    start = rotation @ camera_from_lidar[:3, 3] + firings.up_m[rings, None, None] * up + moved_m
+    moved_m = np.multiply.outer(np.asarray(scene.velocity_m_per_s, dtype=np.float32), firings.time_s[rings])
+    origin_m = (rotation @ camera_from_lidar[:3, 3])[:, None] + up[:, None] * firings.up_m[rings]  # (3, R)
     return _Beams(
         grid=grid,
         angles_rad=(steps_rad[:, None], np.deg2rad([[scan.azimuth_step_deg]], dtype=np.float32)),
         first_ring=int(rings[0]) if len(rings) else 0,
-        start=start.reshape(-1, 3),
-        rays=firings.rays[rings].reshape(-1, 3) @ world_from_lidar.T,
+        start=(origin_m[..., None] + moved_m).reshape(3, -1),
+        rays=world_from_lidar @ np.moveaxis(firings.rays, -1, 0).take(rings, axis=1).reshape(3, -1),
         # Compensated points are moved to where the vehicle was when the pulse left; a residual stays as it was fired.
-        misplaced_m=(-scan.motion_residual * moved_m).reshape(-1, 3),
+        misplaced_m=(-scan.motion_residual * moved_m).reshape(3, -1),
         slip_rad=np.tile(firings.slip_rad, grid[0]),
-        left=np.cross(up, np.eye(3, dtype=np.float32)),
+        left=np.cross(up, np.eye(3, dtype=np.float32)).T,
     )
 
 
@@ -123,7 +140,10 @@ def _echoes(surfaces: Surfaces, hits: Hits, count: int, scan: ScanPattern) -> _E
     color, gloss = surfaces.albedo(hits, scan.divergence_mrad / 1000)
     values = np.zeros((4, count), np.float32)
     values[0] = np.inf
-    values[:, hits.ray] = hits.range_m, hits.cos_incidence, color.mean(axis=0).clip(0, 1), gloss
+    for row, of_hits in zip(
+        values, (hits.range_m, hits.cos_incidence, color.mean(axis=0).clip(0, 1), gloss), strict=True
+    ):
+        row[hits.ray] = of_hits
     return _Echoes(*values)
 
 
@@ -136,12 +156,12 @@ def _gap(
     return np.abs(range_m - other_m) > _EDGE_M + slanted_m
 
 
-def _candidates(echoes: _Echoes, beams: _Beams) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(echoes: _Echoes, beams: _Beams) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Beams that an edge may split: those whose neighbour meets something else.
 
     Returns:
-        Their numbers (n,), and the unit vectors (n, 3) from their rays towards that neighbour. A beam with edges on
-        several sides looks at one of them, sideways rather than up or down.
+        Their numbers (n,), how near the nearer of the two is (n,), and the unit vectors (3, n) from their rays towards
+        that neighbour. A beam with edges on several sides looks at one of them, sideways rather than up or down.
     """
     range_m, cos = echoes.range_m.reshape(beams.grid), echoes.cos_incidence.reshape(beams.grid)
     number = np.arange(beams.grid[0] * beams.grid[1]).reshape(beams.grid)
@@ -153,10 +173,12 @@ def _candidates(echoes: _Echoes, beams: _Beams) -> tuple[np.ndarray, np.ndarray]
         here, there = number[first][apart], number[second][apart]
         neighbour[here], neighbour[there] = there, here
     split = np.flatnonzero(neighbour >= 0)
-    rays = beams.rays.take(split, axis=0)
-    towards = beams.rays.take(neighbour[split], axis=0) - rays
-    towards -= np.einsum("nk,nk->n", towards, rays)[:, None] * rays
-    return split, towards / np.linalg.norm(towards, axis=1, keepdims=True).clip(1e-9)
+    rays = beams.rays.take(split, axis=1)
+    neighbour = neighbour.take(split)
+    towards = beams.rays.take(neighbour, axis=1) - rays
+    towards -= np.einsum("kn,kn->n", towards, rays) * rays
+    nearest_m = np.minimum(echoes.range_m.take(split), echoes.range_m.take(neighbour))
+    return split, nearest_m, towards / np.linalg.norm(towards, axis=0).clip(1e-9)
 
 
 def _split(
@@ -171,15 +193,15 @@ def _split(
         echoes: What the beams' centres meet.
         beams: All of them.
         split: Numbers of the beams to look at (n,).
-        towards: On which side to look, (n, 3).
+        towards: On which side to look, (3, n).
         scan: Says how wide the beams are.
 
     Returns:
         Numbers of the beams that are split (k,), what the other part meets, and its share of the light, (k,) up to 0.5.
     """
     radius = scan.divergence_mrad / 2000
-    start, rays, towards = beams.start.take(split, axis=0), beams.rays.take(split, axis=0), radius * towards
-    hits = surfaces.cast(start, rays + towards)
+    start, rays, towards = beams.start.take(split, axis=1), beams.rays.take(split, axis=1), radius * towards
+    hits = surfaces.cast(start.T, (rays + towards).T)
     rim_m, rim_cos = np.full(len(split), np.inf, np.float32), np.zeros(len(split), np.float32)
     rim_m[hits.ray], rim_cos[hits.ray] = hits.range_m, hits.cos_incidence
     with np.errstate(invalid="ignore"):
@@ -187,7 +209,7 @@ def _split(
     rim = _echoes(surfaces, hits.take(np.flatnonzero(apart[hits.ray])), len(split), scan)
     kept = np.flatnonzero(apart)
     split, rim = split.take(kept), rim.take(kept)
-    start, rays, towards = (values.take(kept, axis=0) for values in (start, rays, towards))
+    start, rays, towards = (values.take(kept, axis=1) for values in (start, rays, towards))
     edge = _find_edge(surfaces, start, rays, towards, echoes.range_m.take(split), rim.range_m)
     # Beyond a chord at that share of the radius lies this share of a disc.
     return split, rim, (np.arccos(edge) - edge * np.sqrt(1 - edge**2)) / np.pi
@@ -202,11 +224,11 @@ def _find_edge(
     rim_m: np.ndarray,
 ) -> np.ndarray:
     """Where between rays (0) and rays + towards (1) what they meet changes from one range to another, (k,)."""
-    edge, width = np.full(len(rays), 0.5, np.float32), 0.5
+    edge, width = np.full(len(rim_m), 0.5, np.float32), 0.5
     for _ in range(_BISECTIONS):
         width /= 2
-        hits = surfaces.cast(start, rays + edge[:, None] * towards)
-        nearness = np.zeros(len(rays), np.float32)  # 1/m, so that the sky is a number like others
+        hits = surfaces.cast(start.T, (rays + edge * towards).T)
+        nearness = np.zeros(len(edge), np.float32)  # 1/m, so that the sky is a number like others
         nearness[hits.ray] = 1 / hits.range_m
         at_center = np.abs(nearness - 1 / center_m) < np.abs(nearness - 1 / rim_m)
         edge += np.where(at_center, width, -width).astype(np.float32)
@@ -231,6 +253,18 @@ def _sort(
     return near, far, near_share
 
 
+def _project(beams: _Beams, some: np.ndarray, range_m: np.ndarray, camera: Camera, rotation: np.ndarray) -> _Places:
+    """Where the camera sees what some beams, by their numbers (n,), meet at these ranges (n,)."""
+    rays = beams.rays.take(some, axis=1)
+    rays += beams.slip_rad.take(some) * (beams.left @ rays)
+    start = beams.start.take(some, axis=1) + beams.misplaced_m.take(some, axis=1)
+    points = rotation.T @ (start + range_m * rays)
+    depth_m = points[2]
+    u_px, v_px = uv_px = points[:2] / depth_m.clip(_MIN_DEPTH_M) * camera.focal_px + camera.intrinsics[:2, 2:]
+    inside = (u_px >= 0) & (u_px <= camera.width - 1) & (v_px >= 0) & (v_px <= camera.height - 1)
+    return _Places(rays, uv_px, depth_m, inside & (depth_m > _MIN_DEPTH_M))
+
+
 def _returns(
     beams: _Beams,
     near: _Echoes,
@@ -242,19 +276,13 @@ def _returns(
 ) -> LidarReturns:
     """Returns within the scanner's range and the camera's image."""
     found = np.flatnonzero((near.range_m >= scan.min_range_m) & (near.range_m <= scan.max_range_m))
-    rays = beams.rays.take(found, axis=0)
-    rays += beams.slip_rad.take(found)[:, None] * (rays @ beams.left)
-    start = beams.start.take(found, axis=0) + beams.misplaced_m.take(found, axis=0)
-    points = (start + near.range_m.take(found)[:, None] * rays) @ rotation
-    depth_m = points[:, 2]
-    uv_px = points[:, :2] / depth_m.clip(_MIN_DEPTH_M)[:, None] * camera.focal_px + camera.intrinsics[:2, 2]
-    inside = (uv_px >= 0).all(axis=1) & (uv_px <= [camera.width - 1, camera.height - 1]).all(axis=1)
-    inside = np.flatnonzero(inside & (depth_m > _MIN_DEPTH_M))
+    places = _project(beams, found, near.range_m.take(found), camera, rotation)
+    inside = np.flatnonzero(places.inside)
     kept = found.take(inside)
     near, far = near.take(kept), far.take(kept)
     return LidarReturns(
-        uv_px=uv_px.take(inside, axis=0),
-        depth_m=depth_m.take(inside),
+        uv_px=np.ascontiguousarray(places.uv_px.take(inside, axis=1).T),
+        depth_m=places.depth_m.take(inside),
         range_m=near.range_m,
         cos_incidence=near.cos_incidence,
         albedo=near.albedo,
@@ -265,5 +293,5 @@ def _returns(
         far_cos_incidence=far.cos_incidence,
         far_albedo=far.albedo,
         far_gloss=far.gloss,
-        ray=rays.take(inside, axis=0) @ rotation,
+        ray=np.ascontiguousarray((rotation.T @ places.rays.take(inside, axis=1)).T),
     )

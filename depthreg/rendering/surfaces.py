@@ -75,7 +75,7 @@ class Surfaces:
             origin: Where all rays start, (3,), or each of them, (N, 3), relative to `origin_m`.
             rays: Unit directions in world axes, (N, 3) float32.
         """
-        origin, rays = origin.astype(np.float32).T, np.ascontiguousarray(rays.T)
+        origin, rays = origin.astype(np.float32, copy=False).T, np.ascontiguousarray(rays.T)
         faces, ranges_m = self.tree.first_hits(origin, rays)
         ray = np.flatnonzero(faces >= 0)
         face, range_m, direction = faces.take(ray), ranges_m.take(ray), rays.take(ray, axis=1)
