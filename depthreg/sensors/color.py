@@ -15,18 +15,13 @@ from torch import Tensor
 
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
-from depthreg.geometry import unproject
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX
+from depthreg.sensors.reflection import ray_stretch, view_rays
 
 GAMMA = 2.2  # of the renderer's pictures
 
 _WAVELENGTHS_UM = (0.61, 0.545, 0.465)  # where the red, green and blue pixels of a camera see best
 _SECOND_RADIATION_CONSTANT = 14388.0  # um K
-
-
-def rays(intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
-    """Directions through the pixels, (B, 3, H, W), z = 1."""
-    return unproject(intrinsics.new_ones(len(intrinsics), *size), intrinsics).permute(0, 3, 1, 2)
 
 
 def temperature_gains(shift_mired: Tensor) -> Tensor:
@@ -50,7 +45,7 @@ def vignetting(directions: Tensor, strength: Tensor) -> Tensor:
         directions: Of the pixels, (B, 3, H, W), z = 1.
         strength: (B,); 1 = a simple lens, 0 = none.
     """
-    return directions.norm(dim=1, keepdim=True) ** (-4 * strength[:, None, None, None])
+    return ray_stretch(directions) ** (-4 * strength[:, None, None, None])
 
 
 def blur_kernels(defocus_px: Tensor, motion_px: Tensor, angle_rad: Tensor, radius_px: int) -> Tensor:
@@ -192,7 +187,7 @@ class ColorCamera:
         bright = change_some(
             linear,
             fall_off,
-            lambda i: linear[i] * vignetting(rays(intrinsics[i], size), fall_off[i].to(device)),
+            lambda i: linear[i] * vignetting(view_rays(intrinsics[i], size), fall_off[i].to(device)),
         )
         scale = size[1] / REFERENCE_WIDTH_PX
         defocus_px = scale * self.max_defocus_px * draws.defocus.abs()

@@ -9,17 +9,17 @@ import math
 import torch
 from torch import Tensor
 
-from depthreg.geometry import pixel_grid
-
 _GLOSS_EXPONENT = 200  # sharpness of a highlight: half its strength at 5 degrees
 
 
 def view_rays(intrinsics: Tensor, size: tuple[int, int]) -> Tensor:
     """Directions through the pixels, (B, 3, H, W), z = 1: times a z-depth they are points."""
-    grid = pixel_grid(*size, device=intrinsics.device, dtype=intrinsics.dtype)  # (H, W, 2)
-    focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)[:, :, None, None]
-    xy = (grid.permute(2, 0, 1) - intrinsics[:, :2, 2, None, None]) / focal
-    return torch.cat([xy, torch.ones_like(xy[:, :1])], dim=1)
+    height, width = size
+    row, column = (torch.arange(side, device=intrinsics.device, dtype=intrinsics.dtype) for side in size)
+    x = (column - intrinsics[:, 0, 2, None]) / intrinsics[:, 0, 0, None]  # (B, W)
+    y = (row - intrinsics[:, 1, 2, None]) / intrinsics[:, 1, 1, None]  # (B, H)
+    planes = (x[:, None].expand(-1, height, -1), y[..., None].expand(-1, -1, width))
+    return torch.stack([*planes, torch.ones_like(planes[0])], dim=1)
 
 
 def ray_stretch(rays: Tensor) -> Tensor:

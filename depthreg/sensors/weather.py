@@ -17,9 +17,10 @@ from torch import Tensor
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
 from depthreg.geometry import affine_places, invert_affine, samples_at
-from depthreg.sensors.color import GAMMA, change_some, rays, sensor_noise
+from depthreg.sensors.color import GAMMA, change_some, sensor_noise
 from depthreg.sensors.mix import median_depth_m
 from depthreg.sensors.rain import draw_streaks, rain_extinction_per_m, random_streaks
+from depthreg.sensors.reflection import ray_stretch, view_rays
 
 _FARTHEST_M = 1000.0  # what has no depth, sky mostly, counts as so far away
 _FOG_LAYER_M = 100.0
@@ -43,7 +44,7 @@ def range_in_view(depth_m: Tensor, affine_rgb_from_depth: Tensor, intrinsics: Te
     places_px = affine_places(invert_affine(affine_rgb_from_depth), (height, width))
     last = places_px.new_tensor([width - 1, height - 1])
     moved = samples_at(inverse, places_px.minimum(last).clamp(min=0))
-    return rays(intrinsics, (height, width)).norm(dim=1, keepdim=True) / moved.clamp(min=1 / _FARTHEST_M)
+    return ray_stretch(view_rays(intrinsics, (height, width))) / moved.clamp(min=1 / _FARTHEST_M)
 
 
 def haze(linear: Tensor, range_m: Tensor, extinction_per_m: Tensor, airlight: Tensor) -> Tensor:
@@ -92,7 +93,7 @@ def lose_returns(
         extinction_per_m: (B,).
         generator: Source of randomness, on the CPU.
     """
-    range_m = depth_m * rays(intrinsics, (depth_m.shape[-2], depth_m.shape[-1])).norm(dim=1, keepdim=True)
+    range_m = depth_m * ray_stretch(view_rays(intrinsics, (depth_m.shape[-2], depth_m.shape[-1])))
     luck = torch.rand(depth_m.shape, generator=generator).to(depth_m.device)
     return depth_m * (luck < torch.exp(-2 * extinction_per_m[:, None, None, None] * range_m))
 
@@ -263,7 +264,7 @@ class Weather:
         """The pictures of the chosen samples (K,) after dusk, with the noise of a sensor that has less light."""
         linear, range_m, intrinsics = _seen(measurement, chosen)
         daylight = sky.daylight[chosen].to(linear.device)
-        directions = rays(intrinsics, (linear.shape[-2], linear.shape[-1]))
+        directions = view_rays(intrinsics, (linear.shape[-2], linear.shape[-1]))
         dark = night(linear, range_m, directions, daylight, self.headlight_m)
         noisy = sensor_noise(dark, self.full_well_e * daylight, self.read_noise_e, generator)
         return noisy.clamp(0, 1) ** (1 / GAMMA)

@@ -16,7 +16,7 @@ from depthreg.errors import InputError
 from depthreg.geometry import identity_affine
 from depthreg.sensors import ColorCamera
 from depthreg.sensors.color import blur_kernels, sensor_noise, temperature_gains, vignetting
-from depthreg.sensors.weather import rays
+from depthreg.sensors.reflection import view_rays
 
 K = torch.tensor([[80.0, 0, 44], [0, 80, 31], [0, 0, 1]])
 GAMMA = 2.2
@@ -115,11 +115,11 @@ def test_white_balance_goes_along_the_colours_of_black_bodies(kelvin: int, refer
 
 def test_vignetting_is_cosine_to_the_fourth() -> None:
     size = (61, 93)
-    share = vignetting(rays(K[None], size), torch.tensor([1.0]))[0, 0]
+    share = vignetting(view_rays(K[None], size), torch.tensor([1.0]))[0, 0]
     for row, column in ((31, 44), (0, 0), (60, 92), (10, 80)):
         angle = np.arctan(np.hypot(row - 31, column - 44) / 80)
         assert share[row, column].item() == pytest.approx(np.cos(angle) ** 4, rel=1e-4)
-    half = vignetting(rays(K[None], size), torch.tensor([0.5]))[0, 0]
+    half = vignetting(view_rays(K[None], size), torch.tensor([0.5]))[0, 0]
     torch.testing.assert_close(half, share.sqrt())
 
 

@@ -12,8 +12,8 @@ from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.errors import InputError
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.sensors import Clean, Lidar, SensorSimulator, Weather
-from depthreg.sensors.color import rays
 from depthreg.sensors.rain import Streaks, draw_streaks, drops_per_m3, rain_extinction_per_m, random_streaks
+from depthreg.sensors.reflection import view_rays
 from depthreg.sensors.weather import fog_extinction_per_m, haze, lose_returns, night, overcast, range_in_view
 
 MakeFrames = Callable[..., FrameBatch]
@@ -70,7 +70,7 @@ def test_range_is_the_length_of_the_ray_and_the_sky_is_far() -> None:
 def test_the_range_moves_with_the_colour_and_goes_on_at_the_border() -> None:
     depth_m = torch.arange(5.0, 5 + SIZE[1]).expand(1, 1, *SIZE)
     shift = torch.tensor([[[1.0, 0, 7], [0, 1, 0]]])  # the colour of a point lies 7 px to the right of its depth
-    z_m = (range_in_view(depth_m, shift, K) / rays(K, SIZE).norm(dim=1, keepdim=True))[0, 0, 5]
+    z_m = (range_in_view(depth_m, shift, K) / view_rays(K, SIZE).norm(dim=1, keepdim=True))[0, 0, 5]
     torch.testing.assert_close(z_m[7:], depth_m[0, 0, 5, :-7])
     torch.testing.assert_close(z_m[:7], torch.full((7,), 5.0))
 
@@ -85,7 +85,7 @@ def test_fog_on_the_misaligned_picture_is_fog_on_the_aligned_one(make_frames: Ma
     assert torch.equal(misaligned["truth_rgb"], still["truth_rgb"])
     aligned, seen = warp_affine(misaligned["rgb"], misaligned["truth_affine_rgb_from_depth"])
     foggy, clear = aligned**2.2, misaligned["truth_rgb"] ** 2.2
-    range_m = frames["depth_m"] * rays(frames["intrinsics"], (61, 93)).norm(dim=1, keepdim=True)
+    range_m = frames["depth_m"] * view_rays(frames["intrinsics"], (61, 93)).norm(dim=1, keepdim=True)
     inner = seen.float()
     inner[..., :9, :] = inner[..., -9:, :] = inner[..., :9] = inner[..., -9:] = 0  # the border's depth goes on
     for i in range(4):
@@ -143,7 +143,7 @@ def test_streaks_beyond_the_image_leave_nothing() -> None:
 def lit(range_m: float, daylight: float) -> Tensor:
     image = torch.full((1, 3, *SIZE), 0.5)
     at = torch.full((1, 1, *SIZE), range_m)
-    return night(image, at, rays(K, SIZE), torch.tensor([daylight]), headlight_m=8.0)
+    return night(image, at, view_rays(K, SIZE), torch.tensor([daylight]), headlight_m=8.0)
 
 
 def test_headlights_fade_with_the_square_of_the_distance() -> None:
