@@ -119,7 +119,7 @@ def _aim(scene: Scene, camera: Camera, scan: ScanPattern, rotation: np.ndarray) 
     lowest = low - np.rad2deg(max(scan.laser_up_m, default=0) / 2)
     rings = np.flatnonzero((elevation_deg >= lowest) & (elevation_deg <= high))
     steps_rad = -np.diff(np.deg2rad(elevation_deg[rings])).astype(np.float32)
-    up, grid = world_from_lidar[:, 2], (len(rings), len(firings.slip_rad))
+    up, grid = world_from_lidar[:, 2], (len(rings), firings.slip_rad.shape[1])
     moved_m = np.multiply.outer(np.asarray(scene.velocity_m_per_s, dtype=np.float32), firings.time_s[rings])
     origin_m = (rotation @ camera_from_lidar[:3, 3])[:, None] + up[:, None] * firings.up_m[rings]  # (3, R)
     return _Beams(
@@ -130,7 +130,7 @@ def _aim(scene: Scene, camera: Camera, scan: ScanPattern, rotation: np.ndarray) 
         rays=world_from_lidar @ np.moveaxis(firings.rays, -1, 0).take(rings, axis=1).reshape(3, -1),
         # Compensated points are moved to where the vehicle was when the pulse left; a residual stays as it was fired.
         misplaced_m=(-scan.motion_residual * moved_m).reshape(3, -1),
-        slip_rad=np.tile(firings.slip_rad, grid[0]),
+        slip_rad=firings.slip_rad[rings].reshape(-1),
         left=np.cross(up, np.eye(3, dtype=np.float32)).T,
     )
 

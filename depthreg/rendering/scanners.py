@@ -15,7 +15,7 @@ class Firings(NamedTuple):
     """The laser pulses of one sweep, on a grid of R rings and C columns; LiDAR coordinates."""
 
     rays: np.ndarray  # (R, C, 3) float32, unit directions in which the pulses go
-    slip_rad: np.ndarray  # (C,) float32, how far to the left of them the scanner believes that they went
+    slip_rad: np.ndarray  # (R, C) float32, how far to the left of them the scanner believes that they went
     up_m: np.ndarray  # (R,) float32, height of each laser above the LiDAR's origin
     time_s: np.ndarray  # (R, C) float32, since the moment when the camera takes its picture
 
@@ -87,14 +87,21 @@ class ScanPattern:
         low, high = max(min_azimuth_deg, -self.view_deg / 2), min(max_azimuth_deg, self.view_deg / 2)
         first = np.ceil(low / self.azimuth_step_deg - self.start)
         steps = np.arange(first, np.floor(high / self.azimuth_step_deg - self.start) + 1) + self.start
-        azimuth_deg = steps * self.azimuth_step_deg
+        offsets_deg = self._table(self.azimuth_offsets_deg)[:, None]
+        # A laser that is turned by so many steps looks there so many firings earlier: the grid stays the same.
+        earlier = np.rint(offsets_deg / self.azimuth_step_deg)
+        azimuth_deg = (steps - earlier) * self.azimuth_step_deg  # (R, C)
         stated_deg = azimuth_deg
         if self.azimuth_tick_deg:
             stated_deg = (np.floor(azimuth_deg / self.azimuth_tick_deg) + 0.5) * self.azimuth_tick_deg
         lasers = len(self.elevations_deg)
         turn = np.arange(lasers)[:, None] / lasers - 0.5 if self.raster else azimuth_deg / self.view_deg
         return Firings(
-            rays=_directions(np.asarray(self.elevations_deg), self._table(self.azimuth_offsets_deg), azimuth_deg),
+            rays=_directions(
+                np.asarray(self.elevations_deg),
+                (offsets_deg - earlier * self.azimuth_step_deg)[:, 0],
+                steps * self.azimuth_step_deg,
+            ),
             slip_rad=np.deg2rad(stated_deg - azimuth_deg).astype(np.float32),
             up_m=self._table(self.laser_up_m).astype(np.float32),
             time_s=np.broadcast_to(self.sweep_s * turn, (lasers, len(steps))).astype(np.float32),
@@ -122,14 +129,14 @@ def _spread(first: float, last: float, count: int) -> tuple[float, ...]:
     return tuple(float(value) for value in np.linspace(first, last, count))
 
 
-def _scattered(count: int, step_deg: float) -> tuple[float, ...]:
-    """Azimuth offsets within half a step, as good as random, the same in every run.
+def _scattered(count: int, most_deg: float) -> tuple[float, ...]:
+    """Azimuth offsets, as good as random, the same in every run.
 
-    Real lasers are turned by up to some degrees, in every unit differently, which its calibration file states. Whole
-    steps of that only change which firing a return belongs to, so the fraction is what shows. Multiples of the golden
-    ratio would put every ring's columns equally far from its neighbours', which real scanners' don't stand.
+    Real lasers are turned by up to some degrees, in every unit differently, which its calibration file states. It shows
+    in two ways: columns of neighbouring rings stand at no fixed phase from each other, as multiples of a number would,
+    and the encoder's ticks make gaps at other azimuths in every ring, which would else run through all of them.
     """
-    return tuple(np.random.default_rng(count).uniform(-step_deg / 2, step_deg / 2, count).tolist())
+    return tuple(np.random.default_rng(count).uniform(-most_deg, most_deg, count).tolist())
 
 
 # Of the HDL-64E in KITTI's car. Slopes of z against horizontal range, ring by ring, in the 14 scans of its object
@@ -160,7 +167,7 @@ def hdl64() -> ScanPattern:
         elevations_deg=_KITTI_ELEVATIONS_DEG,
         azimuth_step_deg=step_deg,
         max_range_m=80.0,
-        azimuth_offsets_deg=_scattered(64, step_deg),
+        azimuth_offsets_deg=_scattered(64, most_deg=5.0),
         laser_up_m=_spread(0.209, 0.198, 32) + _spread(0.125, 0.119, 32),
         azimuth_tick_deg=0.09,
         sweep_s=1 / turns_per_s,
