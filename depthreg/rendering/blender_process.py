@@ -21,6 +21,7 @@ from mathutils import Matrix
 Job = dict[str, Any]
 _SUN_RAD = 0.0093  # how large it looks from here
 _LAMP_RADIUS_M = 0.04
+_POINT_M = 1e-3  # radius of a lamp whose pattern has to stay sharp
 _SENSOR_MM = 100.0  # any width does
 _SHARP = 1e-7  # filter width in pixels: rays go through the pixels' centres
 _ROUGHNESS = 0.2  # gives the sun's reflection the width that it has in the ray-caster
@@ -188,6 +189,32 @@ def _lights(light: Job, sky: np.ndarray) -> None:
     nodes.add("ShaderNodeOutputWorld", {"Surface": background})
 
 
+def _own_lamp(lamp: Job, pattern: np.ndarray | None) -> None:
+    """Nothing but a lamp that the instrument brings along: a flash, or a projector of a pattern (N, N)."""
+    data = bpy.data.lights.new("lamp", "POINT")
+    data.shadow_soft_size = _POINT_M
+    data.energy = np.pi * 4 * np.pi  # watts for an irradiance of pi at 1 m: a white surface there sends back 1
+    if pattern is not None:
+        nodes = _new_nodes(data)
+        direction = nodes.add("ShaderNodeTexCoord").outputs["Normal"]  # of a lamp: where the light goes, in its axes
+        x, y, z = nodes.add("ShaderNodeSeparateXYZ", {0: direction}).outputs
+        reach = nodes.math("MULTIPLY", z, lamp["pattern_width"])
+        place = nodes.add(
+            "ShaderNodeCombineXYZ", {0: nodes.math("DIVIDE", x, reach), 1: nodes.math("DIVIDE", y, reach)}
+        )
+        image = _image("pattern", np.repeat(pattern[..., None], 3, axis=-1).astype(np.float32))
+        light = nodes.add("ShaderNodeTexImage", {0: place.outputs[0]}, image=image, extension="REPEAT").outputs["Color"]
+        # Blender spreads a lamp's power over all directions, and an emission node's strength is in units of that.
+        emission = nodes.add("ShaderNodeEmission", {"Color": light, "Strength": 1.0}).outputs[0]
+        nodes.add("ShaderNodeOutputLight", {"Surface": emission})
+    thing = bpy.data.objects.new("lamp", data)
+    thing.visible_camera = False
+    _place(thing, np.array(lamp["rotation"]) * [1, -1, -1], np.array(lamp["position"]))
+    bpy.context.scene.world = bpy.data.worlds.new("dark")
+    nodes = _new_nodes(bpy.context.scene.world)
+    nodes.add("ShaderNodeOutputWorld", {"Surface": nodes.add("ShaderNodeBackground", {"Strength": 0.0}).outputs[0]})
+
+
 def _camera() -> Any:
     data = bpy.data.cameras.new("camera")
     data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR_MM
@@ -242,7 +269,10 @@ def render(job: Job) -> None:
     patterns = job["is_pattern"]
     materials = [_material(f"image{i}", arrays[f"image{i}"], patterns[i]) for i in range(len(patterns))]
     _mesh(arrays, materials)
-    _lights(job["light"], arrays["sky"])
+    if lamp := job.get("lamp"):
+        _own_lamp(lamp, np.load(lamp["pattern"]) if lamp["pattern"] else None)
+    else:
+        _lights(job["light"], arrays["sky"])
     camera = _camera()
     bpy.context.view_layer.aovs.add().name = "face"
     bpy.context.view_layer.aovs["face"].type = "VALUE"

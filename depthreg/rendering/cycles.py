@@ -133,6 +133,39 @@ class Cycles:
         normal *= -np.sign(np.einsum("hwk,hwk->hw", normal, camera.rays()) * seen)[..., None]
         return Geometry(np.where(seen, depth_m, 0), normal, np.where(seen, owner[face], -1).astype(np.int32))
 
+    def infrared(
+        self,
+        scene: Scene,
+        camera: Camera,
+        lamp_right_m: float = 0.0,
+        pattern: np.ndarray | None = None,
+        pattern_width: float = 1.0,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What the two cameras see in the dark under a lamp of the instrument's own, light that bounces included.
+
+        Without a pattern this is a time-of-flight camera's amplitude; with dots, an active stereo pair.
+
+        Args:
+            scene: What there is; its sun, lamp and sky are out, but what shines by itself, as windows, goes on shining.
+            camera: The left camera, without its margin; the right one stands `baseline_m` beside it.
+            lamp_right_m: How far to the right of the left camera the lamp stands, on the line of both.
+            pattern: Light that the lamp throws, (N, N) in [0, 1], repeated all over; all of it where not given.
+            pattern_width: Width of one repeat, as the tangent of an angle: 1 m of a wall 1 m away.
+
+        Returns:
+            Left and right, (H, W) float32 linear light; 1 is a white wall, head-on, 1 m from the lamp.
+        """
+        python = blender.find_python(self.python)
+        rotation = np.linalg.inv(scene.camera_from_world)[:3, :3]
+        baseline_m = camera.baseline_m or scene.baseline_m
+        left = _View("left", camera, 0, rotation, np.zeros(3))
+        right = _View("right", camera, 0, rotation, rotation[:, 0] * baseline_m)
+        lamp = {"position": (rotation[:, 0] * lamp_right_m).tolist(), "rotation": rotation.tolist()}
+        lamp |= {"pattern_width": pattern_width}
+        layers, _ = replace(self, denoise=False)._render(python, scene, [left, right], lamp, pattern)
+        images = [np.mean([layer[f"Combined.{channel}"] for channel in "RGB"], axis=0) for layer in layers]
+        return images[0], images[1]
+
     def frame_seconds(self, scene: Scene, camera: Camera) -> tuple[float, float]:
         """Wall and CPU time that a frame's left and right picture take, without starting Blender."""
         python = blender.find_python(self.python)
@@ -145,15 +178,30 @@ class Cycles:
         _, cpu_s = self._render(python, scene, views)
         return time.perf_counter() - start_s, cpu_s
 
-    def _render(self, python: Path, scene: Scene, views: list[_View]) -> tuple[list[dict[str, np.ndarray]], float]:
-        """The layers of each view, (H, W) float32 by names such as "Combined.R", and Blender's CPU time in seconds."""
+    def _render(
+        self,
+        python: Path,
+        scene: Scene,
+        views: list[_View],
+        lamp: dict[str, Any] | None = None,
+        pattern: np.ndarray | None = None,
+    ) -> tuple[list[dict[str, np.ndarray]], float]:
+        """The layers of each view, (H, W) float32 by names such as "Combined.R", and Blender's CPU time in seconds.
+
+        A lamp with its pattern takes the place of all light in the scene.
+        """
         with tempfile.TemporaryDirectory(prefix="depthreg-blender-") as name:
             folder = Path(name)
             surfaces = merge(scene, np.linalg.inv(scene.camera_from_world)[:3, 3])
             job = write_scene(folder / "scene.npz", scene, surfaces)
             options = {"samples": self.samples, "denoise": self.denoise, "seed": self.seed, "threads": self.threads}
             jobs = [view.job(folder) for view in views]
-            answer = blender.ask(python, {"task": "render", **job, **options, "views": jobs}, self.timeout_s)
+            if pattern is not None:
+                np.save(folder / "pattern.npy", pattern)
+            if lamp:
+                lamp = {**lamp, "pattern": None if pattern is None else str(folder / "pattern.npy")}
+            task = {"task": "render", **job, **options, "views": jobs, "lamp": lamp}
+            answer = blender.ask(python, task, self.timeout_s)
             return [_read_layers(Path(view["out"])) for view in jobs], answer["cpu_s"]
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -71,6 +72,30 @@ def test_a_lamps_light_falls_with_the_square_of_the_distance(
     irradiance = (2 / distance_m) ** 2 * 3 / distance_m  # `sun_rgb` is stated at 2 m
     linear = 0.5 * irradiance[..., None] * [1.0, 0.6, 0.3]
     np.testing.assert_allclose(frame.rgb, 255 * linear ** (1 / 2.2), atol=1.5)
+
+
+def test_a_flash_lights_a_wall_by_lamberts_law_and_the_square_of_the_distance(
+    cycles: Cycles, make_scene: Callable[..., Scene], wall: Callable[[float], trimesh.Trimesh]
+) -> None:
+    scene = make_scene(wall(2.5), material=Material((0.4, 0.4, 0.4)))  # its sun shines on the wall by day
+    for amplitude, beside_m in zip(cycles.infrared(scene, CAMERA), (0.0, 0.8), strict=True):
+        x_m, y_m = 2.5 * CAMERA.rays()[..., 0] + beside_m, 2.5 * CAMERA.rays()[..., 1]
+        distance_m = np.sqrt(x_m**2 + y_m**2 + 2.5**2)
+        np.testing.assert_allclose(amplitude, 0.4 * 2.5 / distance_m**3, rtol=0.01)
+
+
+def test_projected_dots_let_a_matcher_find_a_blank_wall(
+    cycles: Cycles, make_scene: Callable[..., Scene], wall: Callable[[float], trimesh.Trimesh]
+) -> None:
+    camera = Camera(width=160, height=96, focal_px=150.0, baseline_m=0.2)
+    dots = np.zeros((64, 64), np.float32)
+    dots[*np.random.default_rng(0).integers(1, 63, (2, 300))] = 1
+    scene = make_scene(wall(2.5), material=Material((0.5, 0.5, 0.5)))
+    views = replace(cycles, samples=32).infrared(scene, camera, 0.1, cv2.GaussianBlur(dots, (3, 3), 0.7), 0.8)
+    left, right = (np.uint8(255 * (view / 0.08).clip(0, 1) ** 0.5) for view in views)
+    matcher = cv2.StereoSGBM.create(numDisparities=32, blockSize=7, P1=400, P2=1600, uniquenessRatio=10)
+    found_px = matcher.compute(left, right)[10:-10, 40:-10] / 16
+    assert (np.abs(found_px - 150 * 0.2 / 2.5) < 0.5).mean() > 0.95
 
 
 def test_fog_fades_colour_by_beer_lambert(
