@@ -26,7 +26,7 @@ from rich.table import Table
 from depthreg.config import CONF_DIR, build, compose_config
 from depthreg.data.sample import FrameBatch
 from depthreg.data.synthetic import collate_frames
-from depthreg.sensors.simulator import augment, seeded_generator
+from depthreg.sensors.simulator import augment, frame_generators, seeded_generator, simulate_each
 from depthreg.stages import Stage
 from depthreg.train import build_stage
 
@@ -99,9 +99,9 @@ def simulate_ms(module: Stage, batches: Sequence[FrameBatch], draws: int, device
     """Milliseconds of a batch, the mean over so many draws."""
 
     def simulate(draw: int) -> None:
-        generator = seeded_generator(0, draw)
-        measured = module.simulator(batches[draw % len(batches)], 1.0, generator)
-        augment(measured, generator, module.brightness)
+        frames = batches[draw % len(batches)]
+        generators = frame_generators(frames, draw)
+        augment(simulate_each(module.simulator, frames, 1.0, generators), generators, module.brightness)
 
     return mean_ms(simulate, draws, device)
 

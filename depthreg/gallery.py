@@ -19,7 +19,7 @@ from depthreg.data.synthetic import collate_frames
 from depthreg.errors import InputError
 from depthreg.geometry import corner_errors_px, identity_affine
 from depthreg.sensors import SensorSimulator
-from depthreg.sensors.simulator import simulate_each
+from depthreg.sensors.simulator import frame_generators, simulate_each
 from depthreg.viz import depth_limits_m, depth_tile, edges_overlay, enlarge, grid, panel, to_picture
 
 _CELL_WIDTH_PX = 480  # of each picture, larger ones are shrunk
@@ -70,7 +70,9 @@ def draw_scene(
         difficulties: In [0, 1].
         seed: First number of every draw, which is the same at all difficulties.
     """
-    measured = [simulate_each(simulator, batch, difficulty, seed) for difficulty in difficulties]
+    measured = [
+        simulate_each(simulator, batch, difficulty, frame_generators(batch, seed)) for difficulty in difficulties
+    ]
     truth_m = measured[0]["truth_depth_m"]
     limits_m = depth_limits_m(_plane(truth_m))
     truth = _cell("true colour", measured[0]["truth_rgb"], "true depth", truth_m, truth_m, limits_m)

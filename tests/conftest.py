@@ -91,6 +91,12 @@ class FormulaFrames(Dataset[dict[str, Any]]):
 
 
 @pytest.fixture(scope="session")
+def make_formula_frames() -> Callable[..., FormulaFrames]:
+    """A data set of `FormulaFrames`."""
+    return FormulaFrames
+
+
+@pytest.fixture(scope="session")
 def make_loader() -> Callable[..., DataLoader]:
     """Loads batches of two `FormulaFrames`, in order."""
 

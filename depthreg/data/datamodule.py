@@ -6,7 +6,7 @@ from typing import Any
 
 import lightning as L
 import torch
-from torch.utils.data import DataLoader, Sampler
+from torch.utils.data import DataLoader, Sampler, Subset
 
 from depthreg.data.rendered import RenderedFrames, Store, split
 from depthreg.data.synthetic import RandomCamera, SyntheticFrames, collate_frames
@@ -21,34 +21,46 @@ VALIDATION_SEED_OFFSET = 1_000_003  # a prime far from any seed that users type
 class EpochShuffle(Sampler[int]):
     """Every item once an epoch, in an order drawn from (seed, epoch) alone: a resumed run sees what it would have seen.
 
+    Several processes deal the order out among them like cards. So none sees another's items, and their k-th batches
+    together are the k-th batch of one process whose batches are as large as theirs together.
+
     Args:
         count: How many items.
         seed: First number of every draw.
+        rank: Which process this is.
+        ranks: How many there are; at the end of the order, what doesn't go round is left out.
+        done: An epoch, and how many items of it this process had before an interruption; it goes on after them.
     """
 
-    def __init__(self, count: int, seed: int) -> None:
-        self.count, self.seed, self.epoch = count, seed, 0
+    def __init__(self, count: int, seed: int, rank: int = 0, ranks: int = 1, done: tuple[int, int] = (0, 0)) -> None:
+        self.count, self.seed, self.rank, self.ranks, self.done = count, seed, rank, ranks, done
+        self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
         """Lightning says so before each epoch."""
         self.epoch = epoch
 
     def __iter__(self) -> Iterator[int]:
-        order = torch.randperm(self.count, generator=seeded_generator(self.seed, self.epoch))
-        return iter(order.tolist())
+        order = torch.randperm(self.count, generator=seeded_generator(self.seed, self.epoch)).tolist()
+        ours = order[self.rank : len(self) * self.ranks : self.ranks]
+        done_epoch, done_items = self.done
+        return iter(ours[done_items:] if self.epoch == done_epoch else ours)
 
     def __len__(self) -> int:
-        return self.count
+        """Items of a whole epoch, also where a part of it is done: Lightning counts that part itself."""
+        return self.count // self.ranks
 
 
 class FramesDataModule(L.LightningDataModule):
-    """Training and validation frames, from wherever they come.
+    """Training and validation frames, from wherever they come, split between the processes of a run.
+
+    A checkpoint within an epoch holds how far that went, so that a resumed run goes on with the next batch.
 
     Args:
         train_frames: Gives items as `pack` makes them; every epoch sees each once.
         val_frames: Likewise.
-        batch_size: Frames a step.
-        workers: Processes that render or load.
+        batch_size: Frames a step of one process.
+        workers: Processes that render or load, for each process of the run.
         seed: Of the training frames' order.
 
     Raises:
@@ -64,11 +76,9 @@ class FramesDataModule(L.LightningDataModule):
         seed: int,
     ) -> None:
         super().__init__()
-        self.train_frames, self.val_frames = train_frames, val_frames
-        count = len(train_frames)
-        if count < batch_size:
-            raise InputError(f"{count} training frames: expected at least one batch of {batch_size}")
-        self.shuffle = EpochShuffle(count, seed)
+        self.train_frames, self.val_frames, self.batch_size, self.seed = train_frames, val_frames, batch_size, seed
+        self._require_frames(ranks=1)
+        self.done = (0, 0)  # epoch, and batches of it
         self.options: dict[str, Any] = {
             "batch_size": batch_size,
             "num_workers": workers,
@@ -76,13 +86,47 @@ class FramesDataModule(L.LightningDataModule):
             "persistent_workers": workers > 0,
         }
 
+    def _require_frames(self, ranks: int) -> None:
+        count, val_count, needed = len(self.train_frames), len(self.val_frames), ranks * self.batch_size
+        if count < needed:
+            batch = f"{self.batch_size} in each of {ranks} processes" if ranks > 1 else f"{self.batch_size}"
+            raise InputError(f"{count} training frames: expected at least one batch of {batch}")
+        if val_count < ranks:
+            raise InputError(f"{val_count} validation frames: expected at least one for each of {ranks} processes")
+
+    def _place(self) -> tuple[int, int]:
+        """Rank of this process, and how many there are."""
+        return (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+
     def train_dataloader(self) -> DataLoader:
-        """Shuffled; a last incomplete batch is left out, as its normalisation statistics would be poor."""
-        return DataLoader(self.train_frames, sampler=self.shuffle, drop_last=True, **self.options)
+        """Shuffled; a last incomplete batch is left out, as its normalisation statistics would be poor.
+
+        Raises:
+            InputError: There are too few frames for so many processes.
+        """
+        rank, ranks = self._place()
+        self._require_frames(ranks)
+        epoch, batches = self.done
+        shuffle = EpochShuffle(len(self.train_frames), self.seed, rank, ranks, (epoch, batches * self.batch_size))
+        if self.trainer:  # workers draw the order before Lightning names the epoch that a resumed run starts with
+            shuffle.set_epoch(self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
+        return DataLoader(self.train_frames, sampler=shuffle, drop_last=True, **self.options)
 
     def val_dataloader(self) -> DataLoader:
-        """In order, complete."""
-        return DataLoader(self.val_frames, **self.options)
+        """In order, complete; every `ranks`-th frame. None comes twice to fill up: metrics would count it twice."""
+        rank, ranks = self._place()
+        ours = Subset(self.val_frames, range(rank, len(self.val_frames), ranks))
+        return DataLoader(ours, **self.options)
+
+    def state_dict(self) -> dict[str, int]:
+        """How far training has come within the epoch."""
+        assert self.trainer is not None
+        batches = self.trainer.fit_loop.epoch_loop.batch_progress.current.processed  # type: ignore[attr-defined]
+        return {"epoch": self.trainer.current_epoch, "batches": batches}
+
+    def load_state_dict(self, state_dict: dict[str, int]) -> None:
+        """Go on after the batches that a checkpoint counts."""
+        self.done = state_dict["epoch"], state_dict["batches"]
 
 
 class SyntheticDataModule(FramesDataModule):
@@ -94,7 +138,7 @@ class SyntheticDataModule(FramesDataModule):
         rig: What else to render, as the sensor simulator needs it.
         train_count: Training frames; every epoch sees each once.
         val_count: Validation frames.
-        batch_size: Frames a step.
+        batch_size: Frames a step of one process.
         workers: Processes that render or load.
         seed: Seed of the training frames.
         max_depth_m: Depth beyond this is unknown.

@@ -14,7 +14,7 @@ from depthreg.data.io import atomic_write
 from depthreg.data.sample import Frame, FrameBatch, LidarColumns, Measurement
 from depthreg.rendering import Camera, Embree, Renderer, Rig
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, fit_affine, margin_for
-from depthreg.sensors.simulator import SensorSimulator, simulate_each
+from depthreg.sensors.simulator import SensorSimulator, frame_generators, simulate_each
 from depthreg.worlds.scene import Scene
 
 
@@ -209,5 +209,5 @@ class SyntheticMeasurements(Dataset[Measurement]):
 
     def __getitem__(self, index: int) -> Measurement:
         batch = collate_frames([self.frames[index]])
-        measured = simulate_each(self.simulator, batch, self.difficulty, self.seed)
+        measured = simulate_each(self.simulator, batch, self.difficulty, frame_generators(batch, self.seed))
         return Measurement(**{key: value[0] for key, value in measured.items()}, name=f"{index:06d}")  # type: ignore[typeddict-item, index]

@@ -1,5 +1,6 @@
 """Turns a batch of perfect frames into what real instruments would report."""
 
+from collections.abc import Sequence
 from typing import Protocol, cast
 
 import numpy as np
@@ -109,15 +110,21 @@ class SensorSimulator:
         )
 
 
-def simulate_each(simulator: SensorSimulator, frames: FrameBatch, difficulty: float, seed: int) -> Measurement:
-    """Simulate every frame with a generator of its own, seeded by (seed, index): independent of the batch it is in."""
+def simulate_each(
+    simulator: SensorSimulator, frames: FrameBatch, difficulty: float, generators: Sequence[torch.Generator]
+) -> Measurement:
+    """Simulate every frame with a generator of its own: what it measures is independent of the batch it is in."""
     singles = []
-    for i, index in enumerate(frames["index"].tolist()):
+    for i, generator in enumerate(generators):
         frame = {key: cast(Tensor, value)[i : i + 1] for key, value in frames.items()}
         frame["lidar"] = frame["lidar"][:, frame["lidar"][0, :, 3] > 0]  # padding would shift the draws
-        single = simulator(cast(FrameBatch, frame), difficulty, seeded_generator(seed, index))
-        singles.append(cast(dict[str, Tensor], single))
+        singles.append(cast(dict[str, Tensor], simulator(cast(FrameBatch, frame), difficulty, generator)))
     return cast(Measurement, {key: torch.cat([single[key] for single in singles]) for key in singles[0]})
+
+
+def frame_generators(frames: FrameBatch, *numbers: int) -> list[torch.Generator]:
+    """A generator for each frame, seeded by the numbers and by the frame's index."""
+    return [seeded_generator(*numbers, index) for index in frames["index"].tolist()]
 
 
 def seeded_generator(*numbers: int) -> torch.Generator:
@@ -126,14 +133,20 @@ def seeded_generator(*numbers: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
 
 
-def augment(measurement: Measurement, generator: torch.Generator, brightness: float = 0.2) -> Measurement:
-    """Mirror each sample left to right with probability one half, and scale its brightness by up to +-`brightness`."""
+def augment(measurement: Measurement, generators: Sequence[torch.Generator], brightness: float = 0.2) -> Measurement:
+    """Mirror each sample left to right with probability one half, and scale its brightness by up to +-`brightness`.
+
+    Args:
+        measurement: A batch.
+        generators: One for each sample.
+        brightness: Largest relative change.
+    """
     given = cast(dict[str, Tensor], measurement)
     out = dict(given)
-    batch, _, _, width = measurement["rgb"].shape
-    device = measurement["rgb"].device
-    mirrored = (torch.rand(batch, generator=generator) < 0.5).to(device)[:, None, None]
-    gain = 1 + brightness * (2 * torch.rand(batch, 1, 1, 1, generator=generator) - 1).to(device)
+    width = measurement["rgb"].shape[-1]
+    luck = torch.stack([torch.rand(2, generator=generator) for generator in generators]).to(measurement["rgb"].device)
+    mirrored = (luck[:, 0] < 0.5)[:, None, None]
+    gain = 1 + brightness * (2 * luck[:, 1, None, None, None] - 1)
     for key in ("rgb", "depth_m", "truth_depth_m", "truth_rgb"):
         out[key] = torch.where(mirrored[..., None], given[key].flip(-1), given[key])
     for key in ("rgb", "truth_rgb"):

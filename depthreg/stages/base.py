@@ -12,7 +12,7 @@ from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.losses import JointLoss
 from depthreg.metrics import DepthMetrics, RegistrationMetrics
 from depthreg.networks import JointNetwork, JointOutput
-from depthreg.sensors.simulator import SensorSimulator, augment, seeded_generator, simulate_each
+from depthreg.sensors.simulator import SensorSimulator, augment, frame_generators, simulate_each
 
 
 class Stage(L.LightningModule):
@@ -74,9 +74,9 @@ class Stage(L.LightningModule):
             return batch
         frames = cast(FrameBatch, batch)
         if not self.trainer.training:
-            return simulate_each(self.simulator, frames, self.val_difficulty, self.seed)
-        generator = seeded_generator(self.seed, *self.name.encode(), self.trainer.global_step, self.trainer.global_rank)
-        return augment(self.simulator(frames, self.difficulty, generator), generator, self.brightness)
+            return simulate_each(self.simulator, frames, self.val_difficulty, frame_generators(frames, self.seed))
+        generators = frame_generators(frames, self.seed, *self.name.encode(), self.trainer.current_epoch)
+        return augment(simulate_each(self.simulator, frames, self.difficulty, generators), generators, self.brightness)
 
     def _step(self, batch: Measurement, split: str) -> tuple[JointOutput, Tensor]:
         output = self.network(batch["rgb"], batch["depth_m"])

@@ -27,7 +27,7 @@ from depthreg.sensors import (
     Tof,
     Weather,
 )
-from depthreg.sensors.simulator import DepthSensor, augment, seeded_generator, simulate_each
+from depthreg.sensors.simulator import DepthSensor, augment, frame_generators, seeded_generator, simulate_each
 
 MakeFrames = Callable[..., FrameBatch]
 MIX = Mix(
@@ -200,9 +200,10 @@ def test_a_validation_draw_belongs_to_its_frame_and_not_to_its_batch(
     frames = with_offset_view(make_frames(batch=3))
     weather = Weather(0.3, 0.3, 0.3)
     simulator = SensorSimulator(sensor, MAX_SHIFT_PX, color=ColorCamera(share=0.7), weather=weather)
-    together = simulate_each(simulator, frames, 0.8, seed=4)
+    together = simulate_each(simulator, frames, 0.8, frame_generators(frames, 4))
     order = torch.tensor([2, 0])
-    reordered = simulate_each(simulator, {key: value[order] for key, value in frames.items()}, 0.8, seed=4)
+    some = FrameBatch(**{key: value[order] for key, value in frames.items()})
+    reordered = simulate_each(simulator, some, 0.8, frame_generators(some, 4))
     assert all(torch.equal(together[key][order], reordered[key]) for key in together)
 
 
@@ -211,14 +212,19 @@ def test_validation_does_not_depend_on_how_far_returns_are_padded(make_frames: M
     padding = torch.zeros(2, 100, 16)  # as where a batch holds a frame with more returns
     padded = FrameBatch(**{**frames, "lidar": torch.cat([frames["lidar"], padding], dim=1)})
     simulator = SensorSimulator(Lidar(), MAX_SHIFT_PX)
-    depths_m = [simulate_each(simulator, batch, 0.8, seed=4)["depth_m"] for batch in (frames, padded)]
+    depths_m = [
+        simulate_each(simulator, batch, 0.8, frame_generators(batch, 4))["depth_m"] for batch in (frames, padded)
+    ]
     assert torch.equal(*depths_m)
 
 
 def test_validation_frames_differ_from_each_other_and_between_seeds(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=2)
     simulator = SensorSimulator(Clean(), MAX_SHIFT_PX)
-    first, second = (simulate_each(simulator, frames, 1.0, seed)["truth_affine_rgb_from_depth"] for seed in (0, 1))
+    first, second = (
+        simulate_each(simulator, frames, 1.0, frame_generators(frames, seed))["truth_affine_rgb_from_depth"]
+        for seed in (0, 1)
+    )
     assert not torch.equal(first[0], first[1]) and not torch.equal(first, second)
 
 
@@ -231,7 +237,7 @@ def test_a_seed_is_all_of_its_numbers_in_their_order() -> None:
 def test_augmentation_keeps_colour_depth_and_affine_together(make_frames: MakeFrames) -> None:
     frames = make_frames(batch=12)
     measurement = SensorSimulator(Clean(), MAX_SHIFT_PX)(frames, 1.0, generator())
-    out = augment(measurement, generator(3))
+    out = augment(measurement, frame_generators(frames, 3))
     mirrored = (out["depth_m"] != measurement["depth_m"]).flatten(1).any(dim=1)
     assert mirrored.any() and not mirrored.all()
     aligned, seen = warp_affine(out["rgb"], out["truth_affine_rgb_from_depth"])
@@ -244,9 +250,10 @@ def test_augmentation_keeps_colour_depth_and_affine_together(make_frames: MakeFr
 
 
 def test_brightness_changes_both_colours_alike_within_its_limit(make_frames: MakeFrames) -> None:
-    measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=40), 1.0, generator())
+    frames = make_frames(batch=40)
+    measurement = SensorSimulator(Clean(), 0.0)(frames, 1.0, generator())
     measurement["rgb"] = measurement["truth_rgb"] = torch.full((40, 3, 61, 93), 0.5)
-    out = augment(measurement, generator(1), brightness=0.2)
+    out = augment(measurement, frame_generators(frames, 1), brightness=0.2)
     gain = out["rgb"][:, 0, 0, 0] / 0.5
     assert 0.8 <= gain.min() < 0.85 and 1.15 < gain.max() <= 1.2
     assert torch.equal(out["rgb"], out["truth_rgb"]) and out["rgb"].max() <= 1
@@ -254,6 +261,7 @@ def test_brightness_changes_both_colours_alike_within_its_limit(make_frames: Mak
 
 
 def test_brightness_never_leaves_the_unit_range(make_frames: MakeFrames) -> None:
-    measurement = SensorSimulator(Clean(), 0.0)(make_frames(batch=20), 1.0, generator())
+    frames = make_frames(batch=20)
+    measurement = SensorSimulator(Clean(), 0.0)(frames, 1.0, generator())
     measurement["rgb"] = torch.ones_like(measurement["rgb"])
-    assert augment(measurement, generator())["rgb"].max() <= 1
+    assert augment(measurement, frame_generators(frames, 0))["rgb"].max() <= 1
