@@ -24,11 +24,11 @@ from rich.progress import track
 from rich.table import Table
 
 from depthreg.config import CONF_DIR, build, compose_config
+from depthreg.curriculum import Entry, build_stage
 from depthreg.data.sample import FrameBatch
 from depthreg.data.synthetic import collate_frames
 from depthreg.sensors.simulator import augment, frame_generators, seeded_generator, simulate_each
-from depthreg.stages import Stage
-from depthreg.train import build_stage
+from depthreg.stage import Stage
 
 # Overrides of `depthreg train` that say how large it is.
 PRESETS = {"quick": ["preset=quick"], "paper": ["preset=paper", "model=paper", "data.batch_size=1"]}
@@ -107,14 +107,8 @@ def simulate_ms(module: Stage, batches: Sequence[FrameBatch], draws: int, device
 
 
 def step_ms(module: Stage, batch: FrameBatch, steps: int, device: torch.device) -> float:
-    """Milliseconds of a training step, without simulation.
-
-    Frozen is what the stage freezes in its second epoch, where alternating stages have their cheapest steps.
-    """
-    measurement = module.simulator(batch, 1.0, seeded_generator(0))
-    network = module.network.requires_grad_(True).train()
-    for frozen in module.frozen_modules(1):
-        frozen.requires_grad_(False).eval()
+    """Milliseconds of a training step, without simulation."""
+    measurement, network = module.simulator(batch, 1.0, seeded_generator(0)), module.network
     optimizer = torch.optim.Adam(network.parameters(), lr=module.learning_rate, weight_decay=module.weight_decay)
 
     def step(_: int) -> None:
@@ -141,14 +135,15 @@ def measure(
     for name in track(names, preset):
         stage, changes = row_overrides()[name]
         config: DictConfig = compose_config(
-            "train", [*PRESETS[preset], *changes, f"stage={stage}", "data.cache_dir=null"]
+            "train", [*PRESETS[preset], *changes, f"curriculum=[{stage}]", "data.cache_dir=null"]
         )
-        module, data, _ = build_stage(config, stage, build(config.model))
+        module, data, (freeze, *_) = build_stage(config, Entry(stage, stage), build(config.model))
         batches, loader_ms = load(data.train_frames, config.data.batch_size, frames)
         for device in devices:
             on_device = [{key: value.to(device) for key, value in batch.items()} for batch in batches]
             module.to(device)
             if (stage, device) not in steps:  # what the depth looks like doesn't change a step
+                freeze.apply(module.network, epoch=1)  # where alternating stages have their cheapest steps
                 steps[stage, device] = step_ms(module, on_device[0], _ROUNDS, device)
             cost, step = simulate_ms(module, on_device, draws, device), steps[stage, device]
             rows.append(Row(preset, device.type, name, cost, step, cost / step, loader_ms))

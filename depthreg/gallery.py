@@ -13,6 +13,7 @@ from torch import Tensor
 
 from depthreg import train
 from depthreg.config import build, require_counts, run_application
+from depthreg.curriculum import build_stage, walk
 from depthreg.data import io
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.data.synthetic import collate_frames
@@ -46,17 +47,17 @@ def run(config: DictConfig) -> None:
     """Draw one picture a stage and say where they are."""
     out = Path(HydraConfig.get().runtime.output_dir)
     network = build(config.model)
-    for name in config.stages:
-        module, datamodule, _ = train.build_stage(config, name, network)
+    for entry in walk(config):
+        module, datamodule, _ = build_stage(config, entry, network)
         frames = datamodule.train_frames
         scenes = range(min(config.scenes, len(frames)))
         rows = [
             draw_scene(module.simulator, collate_frames([frames[i]]), config.difficulties, config.seed)
-            for i in track(scenes, name, console=Console(stderr=True), transient=True)
+            for i in track(scenes, entry.label, console=Console(stderr=True), transient=True)
         ]
-        path = out / f"{name}.png"
+        path = out / f"{entry.label}.png"
         io.write_png(path, grid(rows))
-        Console().print(f"{name:<12}{path}", soft_wrap=True)
+        Console().print(f"{entry.label:<12}{path}", soft_wrap=True)
 
 
 def draw_scene(

@@ -1,7 +1,14 @@
-"""The training loss: depth, colour, and optionally what the known affine says."""
+"""The training loss: depth, colour, and optionally what the known affine says.
+
+A term gives one value an image, so that the mean over a batch is the same however the batch is spread over devices or
+accumulated over steps.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from depthreg.data.sample import Measurement
 from depthreg.geometry import compose_affines, corner_errors_px, invert_affine, transform_points, warp_affine
@@ -9,62 +16,93 @@ from depthreg.metrics import masked_mean, masked_ssim
 from depthreg.networks import JointOutput, LocalMatches
 
 
-class JointLoss(nn.Module):
-    """Weighted sum of L1 on the depth, 1 - SSIM on the aligned colour, and two terms on the known affine.
+class LossTerm(Protocol):
+    """One term of the loss."""
+
+    @property
+    def weight(self) -> float:
+        """Its share of the sum; 0 leaves it out."""
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """The unweighted term of each image, (B,)."""
+
+
+class JointLoss:
+    """Weighted sum of terms.
 
     The paper's loss is 0.9 L1 + 0.02 (1 - SSIM) (Martinez et al., Sensors 2025). Its SSIM alone is a weak teacher of
     registration: far from alignment it has no slope. The simulator knows the affine, so its corners can teach too; and
     the displacement of every region teaches from the first step on, where corners alone lead to the identity.
 
     Args:
-        depth_weight: Weight of the mean absolute depth error in metres, over pixels with ground truth.
-        ssim_weight: Weight of 1 - SSIM between the aligned colour and the true one, over pixels that the warp saw.
-        corner_weight: Weight of the mean distance of the image corners, in percent of the image's width.
-        match_weight: Weight of the cross-entropy of each region's displacement, the mean over matchers.
+        **terms: By the name under which they are logged.
+
+    Raises:
+        ValueError: A weight is negative, or all are 0.
     """
 
-    def __init__(
-        self,
-        depth_weight: float = 0.9,
-        ssim_weight: float = 0.02,
-        corner_weight: float = 0.0,
-        match_weight: float = 0.0,
-    ) -> None:
-        super().__init__()
-        self.weights = {
-            "depth": depth_weight,
-            "ssim": ssim_weight,
-            "corner": corner_weight,
-            "match": match_weight,
-        }
+    def __init__(self, **terms: LossTerm) -> None:
+        weights = {name: term.weight for name, term in terms.items()}
+        if min(weights.values(), default=0) < 0 or not any(weights.values()):
+            raise ValueError(f"weights must be at least 0, and one of them above, got {weights}")
+        self.terms = {name: term for name, term in terms.items() if term.weight}
 
-    def forward(self, output: JointOutput, measurement: Measurement) -> dict[str, Tensor]:
-        """The terms, unweighted, and their weighted sum as `total`; a term of weight 0 is left out."""
-        terms = {
-            name: getattr(self, f"_{name}")(output, measurement) for name, weight in self.weights.items() if weight
-        }
-        return {"total": sum(self.weights[name] * term for name, term in terms.items()), **terms}
+    def __call__(self, output: JointOutput, measurement: Measurement) -> dict[str, Tensor]:
+        """The terms, unweighted, and their weighted sum as `total`; means over the batch."""
+        means = {name: term(output, measurement).mean() for name, term in self.terms.items()}
+        total = torch.stack([term.weight * means[name] for name, term in self.terms.items()]).sum()
+        return {"total": total, **means}
 
-    @staticmethod
-    def _depth(output: JointOutput, measurement: Measurement) -> Tensor:
+
+@dataclass(frozen=True)
+class DepthL1:
+    """Mean absolute depth error in metres, over the pixels with ground truth."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 where there is no truth."""
         truth_m = measurement["truth_depth_m"]
-        return masked_mean((output.depth_m - truth_m).abs(), truth_m > 0)
+        return masked_mean((output.depth_m - truth_m).abs(), truth_m > 0, dim=(1, 2, 3))
 
-    @staticmethod
-    def _ssim(output: JointOutput, measurement: Measurement) -> Tensor:
+
+@dataclass(frozen=True)
+class Dissimilarity:
+    """1 - SSIM between the aligned colour and the true one, over the pixels that the warp saw."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,)."""
         _, seen = warp_affine(measurement["rgb"], output.affine_rgb_from_depth)
         return 1 - masked_ssim(output.rgb_aligned, measurement["truth_rgb"], seen)
 
-    @staticmethod
-    def _corner(output: JointOutput, measurement: Measurement) -> Tensor:
+
+@dataclass(frozen=True)
+class CornerError:
+    """Mean distance of the image corners from where the true affine sends them, in percent of the image's width."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,)."""
         height, width = measurement["rgb"].shape[-2:]
         truth = measurement["truth_affine_rgb_from_depth"]
-        return 100 / width * corner_errors_px(output.affine_rgb_from_depth, truth, (height, width)).mean()
+        return 100 / width * corner_errors_px(output.affine_rgb_from_depth, truth, (height, width)).mean(dim=-1)
 
-    @staticmethod
-    def _match(output: JointOutput, measurement: Measurement) -> Tensor:
+
+@dataclass(frozen=True)
+class MatchCrossEntropy:
+    """Cross-entropy of each region's displacement, the mean over matchers."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 for a network that doesn't register."""
         truth = measurement["truth_affine_rgb_from_depth"]
-        return torch.stack([match_cross_entropy(matches, truth) for matches in output.matches]).mean()
+        if not output.matches:
+            return torch.zeros_like(truth[:, 0, 0])
+        return torch.stack([match_cross_entropy(matches, truth) for matches in output.matches]).mean(dim=0)
 
 
 def match_cross_entropy(matches: LocalMatches, truth: Tensor) -> Tensor:
@@ -72,6 +110,9 @@ def match_cross_entropy(matches: LocalMatches, truth: Tensor) -> Tensor:
 
     The target is spread over the four candidates around the true displacement by bilinear weights; a displacement
     beyond the candidates teaches nothing.
+
+    Returns:
+        (B,), means over the regions.
     """
     points_px, offsets_px, scores, affine_before = matches
     still_to_do = compose_affines(invert_affine(affine_before), truth)
@@ -80,4 +121,4 @@ def match_cross_entropy(matches: LocalMatches, truth: Tensor) -> Tensor:
     spacing_px = offsets_px[1, 0] - offsets_px[0, 0]
     distance = (wanted_px[:, :, None] - offsets_px).abs() / spacing_px  # (B, N, K, 2)
     target = (1 - distance).clamp(min=0).prod(dim=-1)
-    return -(target * scores.log_softmax(dim=-1)).sum(dim=-1).mean()
+    return -(target * scores.log_softmax(dim=-1)).sum(dim=-1).mean(dim=-1)

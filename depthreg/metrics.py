@@ -37,10 +37,10 @@ def ssim_map(image: Tensor, other: Tensor, window: int = 11) -> Tensor:
 
 
 def masked_ssim(image: Tensor, other: Tensor, mask: Tensor, window: int = 11) -> Tensor:
-    """Mean structural similarity over the pixels whose whole window lies under the mask (B, 1, H, W)."""
+    """Mean structural similarity of each image, (B,), where the whole window lies under the mask (B, 1, H, W)."""
     # Min-pooling: a window that touches a hole of the mask would compare colour with nothing.
     whole = -F.max_pool2d(-mask.to(image.dtype), window, stride=1, padding=window // 2) > 0
-    return masked_mean(ssim_map(image, other, window), whole)
+    return masked_mean(ssim_map(image, other, window), whole, dim=(1, 2, 3))
 
 
 def depth_errors(pred_m: Tensor, truth_m: Tensor) -> Tensor:

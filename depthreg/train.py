@@ -5,7 +5,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import lightning as L
 import torch
@@ -17,24 +17,21 @@ from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from depthreg.callbacks import DifficultyRamp
-from depthreg.checkpoint import load_weights, read_checkpoint
-from depthreg.config import build, build_simulator, require_counts, require_positive, run_application
-from depthreg.data.datamodule import FramesDataModule, RenderedDataModule, SyntheticDataModule
-from depthreg.data.rendered import FolderStore, Store, folders_in, of_world
-from depthreg.data.streaming import TarStore, urls_in
+from depthreg.checkpoint import load_weights
+from depthreg.config import build, require_counts, require_positive, run_application
+from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
-from depthreg.sensors import SensorSimulator
-from depthreg.stages import Stage
+from depthreg.resume import resume_arguments
+from depthreg.run_folder import finish_stage, is_finished, start_record, write_record
 
 
 def main(argv: Sequence[str]) -> int:
     """Run `depthreg train OVERRIDES`."""
-    return run_application("train", run, argv, check)
+    return run_application("train", run, resume_arguments(argv), check)
 
 
 def check(config: DictConfig) -> None:
@@ -47,38 +44,22 @@ def check(config: DictConfig) -> None:
         "data.train_count",
         "data.val_count",
         "data.batch_size",
-        *(f"stages.{name}.epochs" for name in config.stages),
+        *(f"stages.{name}.{key}" for name in config.stages for key in ("epochs", "patience")),
     ]
     require_counts(config, counts)
     require_counts(config, ["seed", "data.workers"], at_least=0)
     require_counts(config, ["data.width", "data.height"], at_least=64)
-    if config.data.name not in _DATA_MODULES:
-        choices = ", ".join(f"data={name}" for name in _DATA_MODULES)
+    if config.data.name not in DATA_MODULES:
+        choices = ", ".join(f"data={name}" for name in DATA_MODULES)
         raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
-    if config.resume and config.init_from:
-        raise InputError("resume and init_from exclude each other: resume takes everything, init_from the weights only")
     if missing := OmegaConf.missing_keys(config):
         raise InputError(f"{min(missing)} is missing: expected {min(missing)}=... on the command line")
     require_positive(config, ["learning_rate"])
     network = build(config.model)
-    for name in config.stages:
-        build_stage(config, name, network)
-    if weights := config.resume or config.init_from:
-        load_weights(network, Path(weights))
-    if config.resume:
-        _resumed_stage(config)
-
-
-def _resumed_stage(config: DictConfig) -> str:
-    checkpoint = read_checkpoint(Path(config.resume))
-    if "optimizer_states" not in checkpoint:
-        raise InputError(
-            f"resume={config.resume} holds weights alone: expected a last.ckpt, or init_from={config.resume}"
-        )
-    stage = checkpoint["depthreg"]["stage"]
-    if stage not in config.stages:
-        raise InputError(f"resume={config.resume} is of stage {stage}: expected one of {', '.join(config.stages)}")
-    return stage
+    for entry in walk(config):
+        build_stage(config, entry, network)
+    if config.init_from:
+        load_weights(network, Path(config.init_from))
 
 
 def _quieten() -> None:
@@ -101,98 +82,41 @@ def run(config: DictConfig) -> float:
     _quieten()
     L.seed_everything(config.seed, workers=True, verbose=False)
     network: JointNetwork = build(config.model)
-    names = list(config.stages)
-    if config.resume:
-        load_weights(network, Path(config.resume))
-        names = names[names.index(_resumed_stage(config)) :]
-    elif config.init_from:
+    if config.init_from:
         load_weights(network, Path(config.init_from))
-    for i, name in enumerate(names):
-        train_stage(config, name, network, out / name, resume=config.resume if i == 0 else None)
-    frames, results = evaluate_stage(config, names[-1], network, out)
+    if not config.resume:
+        write_record(out, start_record(config, HydraConfig.get().overrides.task))
+    entries = walk(config)
+    for entry in entries:
+        train_stage(config, entry, network, out / entry.label)
+    frames, results = evaluate_stage(config, entries[-1], network, out)
     console = Console()
     console.print(rich_table(results, f"{frames} synthetic frames never trained on"))
     console.print(f"run      {out}\npicture  {out / 'panels' / '000000.png'}", soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
 
 
-def build_stage(config: DictConfig, name: str, network: JointNetwork) -> tuple[Stage, FramesDataModule, DifficultyRamp]:
-    """The module, the data and the difficulty of one stage, from the composed configuration.
-
-    Raises:
-        InputError: A value of the configuration can't be meant.
-    """
-    stage = config.stages[name]
-    try:
-        simulator = build_simulator(stage)
-        ramp = DifficultyRamp(**stage.difficulty)
-    except ValueError as error:
-        raise InputError(f"stages.{name}: {error}") from error
-    module = build(stage.module, network=network, loss=build(config.loss), simulator=simulator, seed=config.seed)
-    return module, _DATA_MODULES[config.data.name](config, stage, simulator), ramp
-
-
-def _synthetic_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
-    data = config.data
-    return SyntheticDataModule(
-        world=build(stage.world),
-        camera=build(data.camera),
-        rig=simulator.rig,
-        train_count=data.train_count,
-        val_count=data.val_count,
-        batch_size=data.batch_size,
-        workers=data.workers,
-        seed=config.seed,
-        max_depth_m=data.max_depth_m,
-        cache_dir=data.cache_dir,
-        renderer=build(config.rendering),
-    )
-
-
-def _stored_data(config: DictConfig, stage: DictConfig, simulator: SensorSimulator) -> FramesDataModule:
-    data = config.data
-    world = cast(dict[str, Any], OmegaConf.to_container(stage.world, resolve=True))
-    store: Store
-    if data.name == "streaming":
-        store = TarStore(of_world(urls_in(data.url), data.url, world))
-    else:
-        store = FolderStore(of_world(folders_in(Path(data.root)), data.root, world))
-    return RenderedDataModule(
-        store=store,
-        rig=simulator.rig,
-        max_corner_shift_px=simulator.max_corner_shift_px,
-        val_share=data.val_share,
-        batch_size=data.batch_size,
-        workers=data.workers,
-        seed=config.seed,
-        max_depth_m=data.max_depth_m,
-    )
-
-
-_DATA_MODULES = {"synthetic": _synthetic_data, "rendered": _stored_data, "streaming": _stored_data}
-
-
-def train_stage(config: DictConfig, name: str, network: JointNetwork, folder: Path, resume: str | None) -> None:
-    """Fit one stage; its checkpoints, logs and pictures go to `folder`."""
+def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder: Path) -> None:
+    """Fit one stage, or the rest of it; its checkpoints, logs and pictures go to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
-    module, datamodule, ramp = build_stage(config, name, network)
+    last = folder / "last.ckpt"
+    if is_finished(folder):
+        load_weights(network, last)
+        return
+    module, datamodule, schedules = build_stage(config, entry, network)
     callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
         **config.trainer,
-        max_epochs=config.stages[name].epochs,
+        max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
-        callbacks=[
-            *callbacks,
-            ramp,
-            *_checkpoints(folder),
-            RichProgressBar(),
-        ],
-        logger=_loggers(config, name, folder),
+        callbacks=[*callbacks, *schedules, *_checkpoints(folder), RichProgressBar()],
+        logger=_loggers(config, entry.label, folder),
     )
     try:
-        trainer.fit(module, datamodule, ckpt_path=resume, weights_only=True)
+        trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
     finally:
         wandb.finish()  # else the next stage would write into this stage's run
+    finish_stage(folder, trainer.current_epoch, trainer.global_step)
 
 
 def _checkpoints(folder: Path) -> list[ModelCheckpoint]:
@@ -218,13 +142,13 @@ def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
     return [instantiate(logger, _partial_=True)(**places[key]) for key, logger in chosen.items()]
 
 
-def evaluate_stage(config: DictConfig, name: str, network: JointNetwork, out: Path) -> tuple[int, Results]:
+def evaluate_stage(config: DictConfig, entry: Entry, network: JointNetwork, out: Path) -> tuple[int, Results]:
     """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`.
 
     Returns:
         How many frames, and their scores.
     """
-    module, datamodule, _ = build_stage(config, name, network)
+    module, datamodule, _ = build_stage(config, entry, network)
     frames = SyntheticMeasurements(datamodule.val_frames, module.simulator, module.val_difficulty, config.seed)
     panels = out / "panels"
     panels.mkdir(exist_ok=True)

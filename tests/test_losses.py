@@ -11,7 +11,7 @@ from torch import Tensor
 from depthreg.config import compose_config
 from depthreg.data.sample import Measurement
 from depthreg.geometry import identity_affine, transform_points, warp_affine
-from depthreg.losses import JointLoss, match_cross_entropy
+from depthreg.losses import CornerError, DepthL1, Dissimilarity, JointLoss, MatchCrossEntropy, match_cross_entropy
 from depthreg.networks import JointOutput, LocalMatches
 
 SIZE = (41, 57)
@@ -35,7 +35,7 @@ def make_case(
 
 
 def test_depth_counts_where_there_is_truth_and_in_metres() -> None:
-    losses = JointLoss(depth_weight=0.5, ssim_weight=0)(*make_case(SHIFT, SHIFT))
+    losses = JointLoss(depth=DepthL1(0.5))(*make_case(SHIFT, SHIFT))
     assert losses["depth"].item() == pytest.approx(2.0)
     assert losses["total"].item() == pytest.approx(1.0)
 
@@ -44,13 +44,13 @@ def test_without_any_depth_truth_the_term_is_zero_and_its_slope_finite() -> None
     output, measurement = make_case(SHIFT, SHIFT)
     measurement["truth_depth_m"] = torch.zeros(1, 1, *SIZE)
     depth_m = output.depth_m.requires_grad_()
-    loss = JointLoss(ssim_weight=0)(output._replace(depth_m=depth_m), measurement)["total"]
+    loss = JointLoss(depth=DepthL1(0.9))(output._replace(depth_m=depth_m), measurement)["total"]
     loss.backward()
     assert loss == 0 and depth_m.grad.isfinite().all()
 
 
 def test_a_perfect_alignment_costs_nothing_though_its_border_is_black() -> None:
-    losses = JointLoss(0, 1, 1)(*make_case(SHIFT, SHIFT))
+    losses = JointLoss(ssim=Dissimilarity(1), corner=CornerError(1))(*make_case(SHIFT, SHIFT))
     assert losses["ssim"].item() == pytest.approx(0, abs=1e-4)
     assert losses["corner"].item() == pytest.approx(0, abs=1e-6)
 
@@ -70,13 +70,13 @@ def test_the_colour_term_is_one_minus_skimages_similarity_over_what_the_warp_saw
     seen = warp_affine(measurement["rgb"], wider)[1][0, 0].numpy()
     whole_window = ndimage.binary_erosion(seen, np.ones((11, 11)))
     assert 100 < whole_window.sum() < seen.sum()
-    ours = JointLoss(0, 1)(output, measurement)["ssim"].item()
+    ours = JointLoss(ssim=Dissimilarity(1))(output, measurement)["ssim"].item()
     assert ours == pytest.approx(1 - similarity[whole_window].mean(), abs=1e-3)
 
 
 def test_the_corner_term_is_in_percent_of_the_width() -> None:
     moved = SHIFT + torch.tensor([[0, 0, 3.0], [0, 0, 4.0]])
-    losses = JointLoss(0, 0, corner_weight=1)(*make_case(moved, SHIFT))
+    losses = JointLoss(corner=CornerError(1))(*make_case(moved, SHIFT))
     assert losses["corner"].item() == pytest.approx(100 * 5 / SIZE[1], rel=1e-5)
 
 
@@ -113,7 +113,7 @@ def test_cross_entropy_equals_that_of_torch_where_the_truth_is_a_candidate() -> 
     matches = make_matches((0.0, 4.0), sharpness=0.7)
     index = matches.offsets_px.tolist().index([8.0, -4.0])
     expected = torch.nn.functional.cross_entropy(matches.scores[0], torch.full((3,), index))
-    torch.testing.assert_close(match_cross_entropy(matches, translation(8, -4)), expected)
+    torch.testing.assert_close(match_cross_entropy(matches, translation(8, -4)), expected[None])
 
 
 def test_a_truth_between_candidates_is_shared_among_them() -> None:
@@ -156,7 +156,8 @@ def test_learning_by_cross_entropy_finds_a_turned_and_shifted_truth() -> None:
 def test_the_total_is_the_weighted_sum_of_its_terms() -> None:
     case = make_case(SHIFT, SHIFT + 0.5, [make_matches((0.0, 0.0)), make_matches((4.0, 0.0))])
     weights = {"depth": 0.3, "ssim": 0.2, "corner": 1.5, "match": 0.7}
-    losses = JointLoss(**{f"{name}_weight": weight for name, weight in weights.items()})(*case)
+    kinds = {"depth": DepthL1, "ssim": Dissimilarity, "corner": CornerError, "match": MatchCrossEntropy}
+    losses = JointLoss(**{name: kinds[name](weight) for name, weight in weights.items()})(*case)
     assert losses.keys() == {"total", *weights}
     expected = sum(weight * losses[name].item() for name, weight in weights.items())
     assert losses["total"].item() == pytest.approx(expected, rel=1e-5)
@@ -166,4 +167,24 @@ def test_the_total_is_the_weighted_sum_of_its_terms() -> None:
 
 def test_the_papers_loss_is_composed_with_the_papers_weights() -> None:
     loss = hydra.utils.instantiate(compose_config("train", ["loss=paper"]).loss)
-    assert loss.weights == {"depth": 0.9, "ssim": 0.02, "corner": 0, "match": 0}
+    assert {name: term.weight for name, term in loss.terms.items()} == {"depth": 0.9, "ssim": 0.02}
+
+
+def test_a_batch_costs_the_mean_of_its_images_however_many_pixels_have_truth() -> None:
+    cases = [make_case(SHIFT, SHIFT), make_case(SHIFT + 0.5, SHIFT)]
+    cases[1][1]["truth_depth_m"][..., 5:, :] = 0
+    cases[1] = (cases[1][0]._replace(depth_m=cases[1][0].depth_m + 7), cases[1][1])
+    together = (
+        JointOutput(*(torch.cat([output[i] for output, _ in cases]) for i in range(3)), []),
+        Measurement(**{key: torch.cat([measurement[key] for _, measurement in cases]) for key in cases[0][1]}),
+    )
+    loss = JointLoss(depth=DepthL1(0.9), ssim=Dissimilarity(0.5), corner=CornerError(2), match=MatchCrossEntropy(1))
+    alone = [loss(*case)["total"].item() for case in cases]
+    assert alone[0] != pytest.approx(alone[1], rel=0.1)
+    assert loss(*together)["total"].item() == pytest.approx(np.mean(alone), rel=1e-5)
+
+
+@pytest.mark.parametrize("weights", [{"depth": -1.0}, {"depth": 0.0}, {}])
+def test_a_loss_that_teaches_nothing_or_the_wrong_way_is_refused(weights: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="weights must be"):
+        JointLoss(**{name: DepthL1(weight) for name, weight in weights.items()})

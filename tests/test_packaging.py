@@ -62,7 +62,7 @@ def test_the_command_finds_its_configuration_from_any_folder(way: str, unpacked:
     config = yaml.safe_load(printed)
     places = {source["provider"]: source["path"] for source in config["hydra"]["runtime"]["config_sources"]}
     assert Path(places["main"]) == (unpacked / "depthreg" / "conf" if way == "wheel" else ROOT / "conf")
-    assert list(config["stages"]) == ["joint", "completion", "full"]  # the paper's curriculum, in its order
+    assert config["curriculum"] == ["joint", "completion", "full"]  # the paper's curriculum, in its order
     assert not list(tmp_path.iterdir())
 
 

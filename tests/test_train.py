@@ -1,11 +1,14 @@
 """`depthreg train` as a user runs it, with the smallest of everything."""
 
+import csv
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import pytest
 import torch
+import yaml
 
 from depthreg.checkpoint import load_network
 from depthreg.cli import main
@@ -89,7 +92,7 @@ def test_completion_starts_from_the_first_stage_and_keeps_its_registration(curri
 
 def test_one_stage_starts_from_the_weights_it_is_given(curriculum: Path, train: Train) -> None:
     start = curriculum / "joint" / "last.ckpt"
-    alone = train("stage=completion", f"init_from={start}")
+    alone = train("curriculum=[completion]", f"init_from={start}")
     assert not (alone / "joint").exists()
     given, ours = weights(start), weights(alone / "completion" / "last.ckpt")
     in_the_walk = weights(curriculum / "completion" / "last.ckpt")
@@ -98,31 +101,37 @@ def test_one_stage_starts_from_the_weights_it_is_given(curriculum: Path, train: 
     assert all(torch.equal(in_the_walk[key], ours[key]) for key in given)  # as if it had walked there
 
 
-def test_a_resumed_run_ends_where_the_uninterrupted_one_does(train: Train, tmp_path: Path) -> None:
-    keep = {
-        "_target_": "lightning.pytorch.callbacks.ModelCheckpoint",
-        "dirpath": tmp_path,
-        "filename": "'{epoch}'",
-        "auto_insert_metric_name": "false",
-        "monitor": "val/loss",
-        "mode": "max",  # tells it from the other callbacks of its kind
-        "save_top_k": -1,  # every epoch's, as an interruption could have left it
-    }
-    only = ["stage=joint", "epochs.joint=3", "callbacks.panels=null"]
-    uninterrupted = train(*only, *(f"+callbacks.keep.{key}={value}" for key, value in keep.items()))
-    resumed = train(*only, f"resume={tmp_path / '0.ckpt'}")
-    ours, theirs = (weights(folder / "joint" / "last.ckpt") for folder in (resumed, uninterrupted))
-    assert [key for key in theirs if not torch.equal(ours[key], theirs[key])] == []
+def test_the_run_says_how_it_was_made(curriculum: Path) -> None:
+    record = yaml.safe_load((curriculum / "run.yaml").read_text())
+    assert "logger=csv" in record["overrides"] and record["config"]["data"]["width"] == 80
+    assert record["config"]["curriculum"] == list(STAGES)
+    assert record["versions"]["torch"] == torch.__version__
+    revision = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True)
+    if revision.returncode == 0:
+        assert record["git"]["revision"] == revision.stdout.strip()
 
 
-def test_a_resumed_stage_is_followed_by_the_later_ones(curriculum: Path, train: Train) -> None:
-    resumed = train(f"resume={curriculum / 'completion' / 'last.ckpt'}", "epochs.completion=2")
-    assert not (resumed / "joint").exists()
-    assert (resumed / "completion" / "last.ckpt").exists() and (resumed / "full" / "last.ckpt").exists()
+def test_what_was_frozen_and_how_hard_it_was_is_in_the_log(train: Train) -> None:
+    folder = train("curriculum=[joint]", "epochs.joint=4", "callbacks.panels=null")
+    with (folder / "joint" / "metrics.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["train/loss"]]
+    assert [float(row["frozen/completion"]) for row in rows] == [0, 1, 0, 1]
+    assert [float(row["frozen/registration"]) for row in rows] == [0] * 4
+    difficulties = [float(row["train/difficulty"]) for row in rows]
+    assert difficulties == sorted(difficulties) and difficulties[0] == pytest.approx(0.3) and difficulties[-1] == 1
+
+
+def test_stages_may_come_in_any_order_and_more_than_once(train: Train) -> None:
+    again = "+stage@stages.again=joint", "stages.again.epochs=2"
+    folder = train("curriculum=[full,again,full]", *again, "callbacks.panels=null")
+    assert {path.name for path in folder.iterdir() if path.is_dir()} == {".hydra", "full", "again", "full_2", "panels"}
+    full, joint, last = (weights(folder / name / "last.ckpt") for name in ("full", "again", "full_2"))
+    assert not any(torch.equal(full[key], joint[key]) for key in full if key.endswith("conv.weight"))
+    assert not any(torch.equal(full[key], last[key]) for key in full if key.endswith("conv.weight"))
 
 
 def test_two_runs_of_one_seed_are_one(curriculum: Path, train: Train) -> None:
-    again = weights(train("stage=joint") / "joint" / "last.ckpt")
+    again = weights(train("curriculum=[joint]") / "joint" / "last.ckpt")
     assert all(torch.equal(value, again[key]) for key, value in weights(curriculum / "joint" / "last.ckpt").items())
 
 
@@ -131,7 +140,7 @@ def test_stored_frames_teach_what_frames_rendered_anew_do(curriculum: Path, trai
     camera = ["camera=random", "camera.width=80", "camera.height=64", "camera.focal_px=[186,500]"]
     frames = ["world=blocks", "sensor=clean", *camera, "count=6", "workers=1", f"out={tmp_path / 'blocks'}"]
     assert main(["render", *frames]) == 0
-    stored = train("stage=joint", "data=rendered", f"data.root={tmp_path}", "data.val_share=0.34")
+    stored = train("curriculum=[joint]", "data=rendered", f"data.root={tmp_path}", "data.val_share=0.34")
     ours, theirs = (weights(folder / "joint" / "last.ckpt") for folder in (stored, curriculum))
     assert [key for key in theirs if not torch.equal(ours[key], theirs[key])] == []
 
@@ -165,7 +174,7 @@ def test_each_stage_has_a_wandb_run_of_its_own_that_stays_offline(train: Train) 
 def test_the_papers_preset_trains(train: Train) -> None:
     """At the size of `TINY`'s frames; the network and the loss are the paper's."""
     widths = "model.completion_widths=[64,128,256,512]"  # TINY narrows them
-    folder = train("preset=paper", "stage=full", widths, "data.val_count=1", "data.train_count=2")
+    folder = train("preset=paper", "curriculum=[full]", widths, "data.val_count=1", "data.train_count=2")
     network = load_network(folder / "full" / "last.ckpt")
     assert sum(parameter.numel() for parameter in network.parameters()) == pytest.approx(5.2e6, rel=0.05)
     header = (folder / "full" / "metrics.csv").read_text().splitlines()[0].split(",")
@@ -173,24 +182,24 @@ def test_the_papers_preset_trains(train: Train) -> None:
 
 
 @pytest.mark.parametrize(
-    ("checkpoint", "overrides", "said"),
+    ("overrides", "said"),
     [
-        ("joint/last.ckpt", ["stage=full"], "stage joint"),
-        ("joint/last.ckpt", ["model.completion_widths=[16]"], "another model"),
-        ("joint/best.ckpt", [], "best.ckpt"),  # weights alone: nothing to resume with
+        (["curriculum=[ful]"], "expected some of joint, completion, full"),
+        (["curriculum=[]"], "expected some of joint, completion, full"),
+        (
+            ["stages.joint.freeze.modules=[completoin]"],
+            "stages.joint: freeze.modules has 'completoin': expected completion",
+        ),
+        (["stages.full.difficulty.shape=cubic"], "stages.full: shape must be one of linear, cosine, steps"),
+        (["stages.full.patience=0"], "stages.full.patience=0: expected a whole number, at least 1"),
+        (["loss.depth.weight=-1"], "weights must be at least 0"),
     ],
 )
-def test_a_checkpoint_that_cannot_be_resumed_is_refused(
-    checkpoint: str,
-    overrides: list[str],
-    said: str,
-    curriculum: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_a_curriculum_that_cannot_be_walked_is_refused(
+    overrides: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["train", *TINY, f"resume={curriculum / checkpoint}", *overrides]) == 2
+    assert main(["train", *TINY, *overrides]) == 2
     message = capsys.readouterr().err
     assert said in message and len(message.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []

@@ -7,7 +7,7 @@ import torch
 
 from depthreg.data.io import write_png
 from depthreg.data.sample import Measurement
-from depthreg.stages import Stage
+from depthreg.stage import Stage
 from depthreg.viz import sample_panel
 
 

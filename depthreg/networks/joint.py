@@ -31,7 +31,7 @@ class JointNetwork(nn.Module):
     After Martinez et al., Sensors 2025, 25(11), 3328: first convolutions on both inputs serve both tasks; registration
     reads them, the colour is warped, and TinyU-Net completes [aligned RGB, sparse depth] with the first features as
     extra skips. Depth enters and leaves as log-depth scaled to [0, 1] over `depth_range_m`, so no prediction can
-    approach zero. The first convolutions belong to the registration side.
+    approach zero. The affine depends on `first_rgb`, `first_depth` and `registration`; all else is `completion`.
 
     Args:
         first_channels: Channels of the first convolution on each input.
@@ -41,6 +41,10 @@ class JointNetwork(nn.Module):
         matchers: Stride, radius and window of each matcher; see `Matcher`.
         depth_range_m: Smallest and largest depth that can be predicted.
         residual: Predict a correction to the filled sparse depth, at most by `MAX_CORRECTION`, rather than the depth.
+        use_rgb: Let completion see colour; without, it sees depth alone, and there must be no matchers.
+
+    Raises:
+        ValueError: Matchers without colour.
     """
 
     def __init__(
@@ -52,8 +56,11 @@ class JointNetwork(nn.Module):
         matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 3, 17)),
         depth_range_m: tuple[float, float] = (0.1, 200.0),
         residual: bool = False,
+        use_rgb: bool = True,
     ) -> None:
         super().__init__()
+        if matchers and not use_rgb:
+            raise ValueError(f"use_rgb=False leaves nothing to register: expected matchers=[], got {list(matchers)}")
         self.config: dict[str, Any] = {  # plain containers, so that a checkpoint can hold it
             "first_channels": first_channels,
             "completion_widths": list(completion_widths),
@@ -62,23 +69,16 @@ class JointNetwork(nn.Module):
             "matchers": [list(matcher) for matcher in matchers],
             "depth_range_m": list(depth_range_m),
             "residual": residual,
+            "use_rgb": use_rgb,
         }
         self.first_rgb = conv_norm_gelu(3, first_channels)
         self.first_depth = conv_norm_gelu(3, first_channels)
         self.registration = RegistrationNet(first_channels, registration_widths, registration_hidden, matchers)
-        self.completion = TinyUNet(4, 1, completion_widths, skip_channels=2 * first_channels)
+        self.completion = TinyUNet(1 + 3 * use_rgb, 1, completion_widths, skip_channels=(1 + use_rgb) * first_channels)
         self.min_depth_m, self.max_depth_m = depth_range_m
-        self.residual = residual
+        self.residual, self.use_rgb = residual, use_rgb
         self._log_span = math.log(self.max_depth_m / self.min_depth_m)
         self.stride = max(self.completion.stride, self.registration.stride)
-
-    def registration_modules(self) -> list[nn.Module]:
-        """Everything that the affine depends on; frozen together."""
-        return [self.first_rgb, self.first_depth, self.registration]
-
-    def completion_modules(self) -> list[nn.Module]:
-        """Everything that only the completed depth depends on."""
-        return [self.completion]
 
     def forward(self, rgb: Tensor, depth_m: Tensor) -> JointOutput:
         """Register and complete.
@@ -101,9 +101,12 @@ class JointNetwork(nn.Module):
         first_depth = self.first_depth(torch.cat([sparse, filled, valid.to(sparse.dtype)], dim=1))
         affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        skip = torch.cat([self.first_rgb(rgb_aligned), first_depth], dim=1)
         known = fill_nearest(sparse, valid) if self.residual else sparse  # a correction sees what it corrects
-        logit = self.completion(torch.cat([rgb_aligned, known], dim=1), skip)
+        if self.use_rgb:
+            skip = torch.cat([self.first_rgb(rgb_aligned), first_depth], dim=1)
+            logit = self.completion(torch.cat([rgb_aligned, known], dim=1), skip)
+        else:
+            logit = self.completion(known, first_depth)
         if self.residual:
             unit = (known + math.log(MAX_CORRECTION) / self._log_span * logit.tanh()).clamp(0, 1)
         else:

@@ -92,7 +92,7 @@ class Tower(nn.Module):
 
     def __init__(self, in_channels: int, widths: Sequence[int]) -> None:
         super().__init__()
-        inputs = [in_channels, *widths[:-1]]
+        inputs = [in_channels, *widths][:-1]
         self.levels = nn.ModuleList(
             nn.Sequential(conv_norm_gelu(i, o, stride=2), conv_norm_gelu(o, o))
             for i, o in zip(inputs, widths, strict=True)
@@ -171,7 +171,8 @@ class RegistrationNet(nn.Module):
         first_channels: Channels of each of the two first feature maps.
         widths: Channels of the tower at strides 2, 4, 8, ...
         hidden: Width of the convolutions that read the correlation.
-        matchers: Stride, radius in cells and window in cells of each matcher, coarsest first.
+        matchers: Stride, radius in cells and window in cells of each matcher, coarsest first; without any, the answer
+            is the identity.
     """
 
     def __init__(
@@ -189,7 +190,7 @@ class RegistrationNet(nn.Module):
             Matcher(widths[level], hidden, *matcher)
             for level, matcher in zip(self.level_of_matcher, matchers, strict=True)
         )
-        self.stride = strides[-1]
+        self.stride = strides[-1] if strides else 1
 
     def forward(
         self, rgb: Tensor, depth: Tensor, first_rgb: Tensor, first_depth: Tensor

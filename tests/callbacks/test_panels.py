@@ -11,15 +11,16 @@ import torch
 from torch.utils.data import DataLoader
 
 from depthreg.callbacks import FreezeSchedule, Panels
-from depthreg.losses import JointLoss
+from depthreg.losses import DepthL1, JointLoss
 from depthreg.sensors import Clean, SensorSimulator
-from depthreg.stages import FullStage
+from depthreg.stage import Stage
 
 
 def fit(folder: Path, epochs: int, network: Any, loader: DataLoader, *callbacks: L.Callback) -> None:
-    stage = FullStage(
+    stage = Stage(
+        name="full",
         network=network,
-        loss=JointLoss(),
+        loss=JointLoss(depth=DepthL1(1)),
         simulator=SensorSimulator(Clean()),
         learning_rate=1e-3,
     )

@@ -96,20 +96,30 @@ def test_a_frames_answer_does_not_depend_on_its_batch() -> None:
 def test_registration_does_not_hear_of_completion() -> None:
     network, given = make_network(), make_input()
     before = network(*given)
-    for module in network.completion_modules():
-        for parameter in module.parameters():
-            torch.nn.init.normal_(parameter)
+    for parameter in network.completion.parameters():
+        torch.nn.init.normal_(parameter)
     after = network(*given)
     assert torch.equal(before.affine_rgb_from_depth, after.affine_rgb_from_depth)
     assert not torch.equal(before.depth_m, after.depth_m)
 
 
-def test_the_two_sides_share_nothing_and_leave_nothing_out() -> None:
-    network = make_network()
-    sides = (network.registration_modules(), network.completion_modules())
-    registration, completion = ({id(p) for m in side for p in m.parameters()} for side in sides)
-    assert not registration & completion
-    assert registration | completion == {id(p) for p in network.parameters()}
+def test_without_matchers_colour_stays_where_it_is() -> None:
+    rgb, depth_m = make_input()
+    network = make_network(matchers=(), registration_widths=()).train()
+    output = network(rgb, depth_m)
+    assert torch.equal(output.affine_rgb_from_depth, torch.eye(2, 3).expand(2, -1, -1))
+    torch.testing.assert_close(output.rgb_aligned, rgb)
+    assert output.matches == [] and not list(network.registration.parameters())
+    output.depth_m.mean().backward()
+    assert all(parameter.grad is not None for parameter in network.parameters())
+
+
+def test_completion_may_be_left_without_colour() -> None:
+    rgb, depth_m = make_input()
+    network = make_network(use_rgb=False, matchers=(), registration_widths=())
+    assert torch.equal(network(rgb, depth_m).depth_m, network(1 - rgb, depth_m).depth_m)
+    with pytest.raises(ValueError, match="nothing to register"):
+        make_network(use_rgb=False)
 
 
 def test_the_same_input_gives_the_same_answer() -> None:

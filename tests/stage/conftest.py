@@ -11,20 +11,22 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from depthreg.callbacks import DifficultyRamp, FreezeSchedule
-from depthreg.losses import JointLoss
+from depthreg.losses import CornerError, DepthL1, Dissimilarity, JointLoss, MatchCrossEntropy
 from depthreg.networks import JointNetwork
 from depthreg.sensors import Lidar, SensorSimulator
-from depthreg.stages import Stage
+from depthreg.stage import Stage
 
 
 @pytest.fixture(scope="session")
 def make_stage(make_network: Callable[[], JointNetwork]) -> Callable[..., Stage]:
     """A stage with every term of the loss and every disturbance."""
 
-    def make(kind: type[Stage], network: JointNetwork | None = None, **options: Any) -> Stage:
-        return kind(
+    def make(name: str = "full", network: JointNetwork | None = None, **options: Any) -> Stage:
+        terms = {"ssim": Dissimilarity(0.02), "corner": CornerError(1), "match": MatchCrossEntropy(1)}
+        return Stage(
+            name=name,
             network=network or make_network(),
-            loss=JointLoss(corner_weight=1.0, match_weight=1.0),
+            loss=JointLoss(depth=DepthL1(0.9), **terms),
             simulator=SensorSimulator(Lidar(), max_corner_shift_px=50.0),
             learning_rate=1e-3,
             **options,
@@ -37,7 +39,7 @@ def make_stage(make_network: Callable[[], JointNetwork]) -> Callable[..., Stage]
 def make_trainer(tmp_path: Path) -> Callable[..., L.Trainer]:
     """A Trainer with the callbacks that every run has."""
 
-    def make(epochs: int, *callbacks: L.Callback, **options: Any) -> L.Trainer:
+    def make(epochs: int, *callbacks: L.Callback, freeze: FreezeSchedule | None = None, **options: Any) -> L.Trainer:
         return L.Trainer(
             accelerator="cpu",
             max_epochs=epochs,
@@ -46,7 +48,7 @@ def make_trainer(tmp_path: Path) -> Callable[..., L.Trainer]:
             enable_model_summary=False,
             num_sanity_val_steps=0,
             default_root_dir=tmp_path,
-            callbacks=[FreezeSchedule(), DifficultyRamp(), *callbacks],
+            callbacks=[freeze or FreezeSchedule(), DifficultyRamp(), *callbacks],
             **{"enable_checkpointing": False, **options},
         )
 

@@ -1,12 +1,12 @@
-"""What the three stages share: one network, one step, one way to measure."""
+"""A stage of the curriculum: one network, one step, one way to measure."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, cast
 
 import lightning as L
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
-from torch import Tensor, nn
+from torch import Tensor
 
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.losses import JointLoss
@@ -16,12 +16,16 @@ from depthreg.sensors.simulator import SensorSimulator, augment, frame_generator
 
 
 class Stage(L.LightningModule):
-    """One stage of the curriculum: trains the shared network on measurements of one difficulty an epoch.
+    """Trains the network that all stages share on measurements of one difficulty an epoch.
+
+    What makes a stage is its configuration: world and sensors through the simulator, and what the callbacks
+    `DifficultyRamp` and `FreezeSchedule` derive from the epoch.
 
     Validation always measures at `val_difficulty`, with draws seeded by the sample, so that its figures can be compared
     between epochs, batch sizes and machines.
 
     Args:
+        name: Of the stage; part of the seed, the folder and the log.
         network: The joint network, shared by all stages.
         loss: The training loss.
         simulator: Turns frames into measurements on the device.
@@ -35,11 +39,11 @@ class Stage(L.LightningModule):
         seed: First number of every random draw.
     """
 
-    name: str  # of the stage; part of the seed, the folder and the log
     difficulty: float = 0.0  # of training, in [0, 1]; set by the difficulty callback each epoch
 
     def __init__(
         self,
+        name: str,
         network: JointNetwork,
         loss: JointLoss,
         simulator: SensorSimulator,
@@ -58,15 +62,11 @@ class Stage(L.LightningModule):
                 "expected learning_rate > 0, weight_decay >= 0 and val_difficulty in [0, 1], "
                 f"got {learning_rate}, {weight_decay}, {val_difficulty}"
             )
-        self.network, self.loss, self.simulator = network, loss, simulator
+        self.name, self.network, self.loss, self.simulator = name, network, loss, simulator
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
         self.brightness, self.val_difficulty, self.seed = brightness, val_difficulty, seed
         self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
-
-    def frozen_modules(self, epoch: int) -> Iterable[nn.Module]:
-        """What doesn't learn in this epoch; a function of the epoch alone, so that a resume needs no memory."""
-        raise NotImplementedError
 
     def on_after_batch_transfer(self, batch: FrameBatch | Measurement, dataloader_idx: int) -> Measurement:
         """Simulate sensors on the device; a batch that is measured already passes through."""
