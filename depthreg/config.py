@@ -27,6 +27,8 @@ _PACKAGE = Path(__file__).parent
 # A wheel carries conf/ inside the package; a checkout and an editable install have it beside the package.
 CONF_DIR = next(path for path in (_PACKAGE / "conf", _PACKAGE.parent / "conf") if path.is_dir())
 
+OmegaConf.register_new_resolver("sum", lambda *numbers: sum(numbers))  # experiments add up epochs with it
+
 Check = Callable[[DictConfig], None]
 
 

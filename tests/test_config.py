@@ -102,3 +102,48 @@ def test_counts_that_are_absent_or_large_enough_pass() -> None:
 
 def test_the_configurations_lie_beside_the_package_in_a_checkout() -> None:
     assert (CONF_DIR / "train.yaml").is_file() and Path(CONF_DIR).is_absolute()
+
+
+ABLATIONS = choices("experiment/ablation")
+
+
+def test_all_the_papers_ablations_are_there_and_more() -> None:
+    figure_8 = {"full", "no_joint", "no_completion", "only_full"}
+    assert set(ABLATIONS) == figure_8 | {"no_registration", "no_rgb", "l1_only", "frozen_never", "no_ramp"}
+
+
+@pytest.mark.parametrize("preset", ["quick", "paper"])
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_every_ablation_trains_for_as_many_epochs(name: str, preset: str) -> None:
+    config = compose_config("train", [f"experiment=ablation/{name}", f"preset={preset}"])
+    assert sum(config.stages[stage].epochs for stage in config.curriculum) == sum(config.epochs.values())
+
+
+CHANGES = {
+    "full": [],
+    "no_joint": ["curriculum", "stages.full.epochs"],
+    "no_completion": ["curriculum", "stages.full.epochs"],
+    "only_full": ["curriculum", "stages.full.epochs"],
+    "no_registration": ["model.matchers", "model.registration_widths"],
+    "no_rgb": ["model.matchers", "model.registration_widths", "model.use_rgb"],
+    "l1_only": ["loss.corner.weight", "loss.match.weight", "loss.ssim.weight"],
+    "frozen_never": ["stages.completion.freeze.modules", "stages.joint.freeze.modules"],
+    "no_ramp": [f"stages.{stage}.difficulty.start" for stage in ("completion", "full", "joint")],
+}
+
+
+def differences(one: object, other: object, key: str = "") -> list[str]:
+    if isinstance(one, dict) and isinstance(other, dict):
+        names = sorted(one.keys() | other.keys())
+        parts = [differences(one.get(n), other.get(n), f"{key}.{n}".lstrip(".")) for n in names]
+        return [found for part in parts for found in part]
+    return [] if one == other else [key]
+
+
+@pytest.mark.parametrize("name", ABLATIONS)
+def test_an_ablation_changes_what_it_is_named_after_and_nothing_else(name: str) -> None:
+    full, ablation = (
+        OmegaConf.to_container(compose_config("train", overrides), resolve=True)
+        for overrides in ([], [f"experiment=ablation/{name}"])
+    )
+    assert differences(full, ablation) == CHANGES[name]

@@ -181,6 +181,14 @@ def test_the_papers_preset_trains(train: Train) -> None:
     assert {"train/depth_loss", "train/ssim_loss"} <= set(header) and "train/corner_loss" not in header
 
 
+@pytest.mark.parametrize("name", ["no_rgb", "no_registration"])
+def test_a_network_without_registration_leaves_colour_where_it_was(name: str, train: Train) -> None:
+    folder = train(f"experiment=ablation/{name}", "callbacks.panels=null", "seed=1")
+    with (folder / "metrics.csv").open() as file:
+        corner = next(row for row in csv.DictReader(file) if row["metric"] == "corner_error_px")
+    assert corner["ours"] == corner["identity"]
+
+
 @pytest.mark.parametrize(
     ("overrides", "said"),
     [
