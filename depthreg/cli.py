@@ -10,6 +10,7 @@ from depthreg.errors import InputError
 COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
     "train": ("depthreg.train", "walk the curriculum, or one stage of it"),
     "evaluate": ("depthreg.evaluate", "score a checkpoint beside the classical baselines"),
+    "compare": ("depthreg.compare", "see what changing one thing did, over many runs"),
     "complete": ("depthreg.complete", "complete and register your own files"),
     "gallery": ("depthreg.gallery", "see what each stage of the curriculum measures"),
     "render": ("depthreg.render", "write a data set of a synthetic world"),

@@ -28,16 +28,12 @@ from depthreg.errors import InputError
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.metrics import DepthMetrics, RegistrationMetrics, masked_ssim
 from depthreg.networks import JointOutput
-from depthreg.report import Results, rich_table, write_report
+from depthreg.report import ALIGNED, MISALIGNED, OURS, REGISTRATION, Results, rich_table, write_report
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX, margin_for, misalign_rgb, random_affines
 from depthreg.sensors.simulator import seeded_generator
 from depthreg.viz import sample_panel, to_picture
 
 MIN_SIDE_PX = 64  # of the smallest image that a network takes
-OURS = "ours"
-ALIGNED = "depth, aligned"  # completion, given colour that lines up with it
-MISALIGNED = "depth, misaligned"
-REGISTRATION = "registration"
 
 T = TypeVar("T")
 

@@ -8,8 +8,14 @@ from pathlib import Path
 from rich.table import Table
 
 from depthreg.data import io
+from depthreg.errors import InputError
 
 Results = Mapping[str, Mapping[str, Mapping[str, float]]]  # task -> method -> metric -> value
+
+OURS = "ours"
+ALIGNED = "depth, aligned"  # completion, given colour that lines up with it
+MISALIGNED = "depth, misaligned"
+REGISTRATION = "registration"
 
 LOWER, HIGHER, NEITHER = -1, 1, 0  # which way is better
 METRICS = {
@@ -90,6 +96,31 @@ def markdown(results: Results) -> str:
         ]
         lines.append([task, METRICS[metric][0], *cells])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def read_report(folder: Path) -> Results:
+    """Read the `metrics.csv` of `write_report`; what is unknown is left out.
+
+    Raises:
+        InputError: Unreadable, or another table.
+    """
+    path = folder / "metrics.csv"
+    results: dict[str, dict[str, dict[str, float]]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                task, metric = row.pop("task"), row.pop("metric")
+                for method, value in row.items():
+                    scores = results.setdefault(task, {}).setdefault(method, {})
+                    if value:
+                        scores[metric] = float(value)
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror}") from error
+    except (KeyError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{path} isn't a table of `depthreg evaluate`: task, metric and methods were expected"
+        ) from error
+    return results
 
 
 def write_report(results: Results, folder: Path) -> None:

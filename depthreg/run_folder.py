@@ -81,7 +81,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise InputError(f"{folder} holds no {RECORD}: expected the folder of a run of `depthreg train`") from error
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(f"{path} can't be read: {error}") from error
+        raise InputError(f"{path} can't be read: {' '.join(str(error).split())}") from error
     if not isinstance(record, dict) or not {"id", "overrides", "config"} <= record.keys():
         raise InputError(f"{path} isn't what `depthreg train` wrote: expected id, overrides and config in it")
     return record

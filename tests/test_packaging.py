@@ -66,12 +66,13 @@ def test_the_command_finds_its_configuration_from_any_folder(way: str, unpacked:
     assert not list(tmp_path.iterdir())
 
 
-def test_the_wheel_holds_every_configuration_file_and_its_types_but_no_tests(wheel: Path) -> None:
+def test_the_wheel_holds_every_configuration_file_the_comparisons_page_and_its_types_but_no_tests(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     expected = {f"depthreg/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "conf").rglob("*.yaml")}
     assert {name for name in names if name.endswith(".yaml")} == expected
-    assert "depthreg/py.typed" in names
+    page = {f"depthreg/comparison/page.{suffix}" for suffix in ("html", "css", "js")}
+    assert {"depthreg/py.typed", *page} <= names
     assert {name.split("/")[0] for name in names} == {"depthreg", f"depthreg-{depthreg.__version__}.dist-info"}
 
 
