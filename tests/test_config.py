@@ -6,7 +6,7 @@ import pytest
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from depthreg.config import CONF_DIR, compose_config, require_counts
+from depthreg.config import CONF_DIR, compose_config
 from depthreg.errors import InputError
 
 NEEDED = {"train": [], "render": [], "evaluate": ["checkpoint=x", "data.root=x"]}
@@ -87,17 +87,6 @@ def test_a_bad_override_is_one_sentence_that_names_it(override: str, said: list[
     message = str(refusal.value)
     assert "\n" not in message and len(message) < 300
     assert all(word in message for word in said)
-
-
-@pytest.mark.parametrize("value", [0, -1, 2.5, "many", True])
-def test_a_count_has_to_be_a_positive_whole_number(value: object) -> None:
-    config = OmegaConf.create({"data": {"count": value}})
-    with pytest.raises(InputError, match=f"data.count={value}.*at least 1"):
-        require_counts(config, ["data.count"])
-
-
-def test_counts_that_are_absent_or_large_enough_pass() -> None:
-    require_counts(OmegaConf.create({"a": 3, "b": None}), ["a", "b", "c"], at_least=3)
 
 
 def test_the_configurations_lie_beside_the_package_in_a_checkout() -> None:
