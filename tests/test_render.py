@@ -225,7 +225,7 @@ def test_a_shard_that_fails_in_a_sweep_is_named(
     message = capsys.readouterr().err
     assert message.splitlines()[-2] == "depthreg render: 1 of 2 jobs failed:"
     assert message.splitlines()[-1].startswith("  job 1 (shard=1): shard 1 of 2: ")
-    assert "'shard=1'" in message and "No space left" in message
+    assert "No space left" in message
     assert {path.name for path in out.glob("0*")} == {"000000", "000001", "000002"}
 
 
