@@ -151,13 +151,15 @@ def verify(folder: Path) -> Iterator[int]:
     """
     for number, line in enumerate(manifest_lines(folder), 1):
         expected, _, name = line.partition("  ")
+        frame = Path(name).parent
+        advice = f": remove {folder / frame} and render again" if frame.name else ""
         try:
             found = _sha256(folder / name)
+        except FileNotFoundError as error:
+            raise InputError(f"{folder / name} is missing{advice}") from error
         except OSError as error:
             raise InputError(f"{folder / name} can't be read: {error.strerror}") from error
         if found != expected:
-            frame = Path(name).parent
-            advice = f": remove {folder / frame} and render again" if frame.name else ""
             raise InputError(f"{folder / name} has changed since it was written{advice}")
         yield number
 

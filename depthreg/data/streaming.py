@@ -50,9 +50,13 @@ def pack_frames(source: Path, target: Path, frames_per_tar: int) -> Iterator[int
         io.check_new_folder(target, ignore_hidden=True)
     elif (target / MANIFEST).exists() or io.read_json(description) != store.description:
         raise InputError(f"{target} holds another data set: a new or an empty folder was expected")
+    count = store.description["config"]["count"]
+    if (target / INDEX).exists():
+        packed = len(io.read_json(target / INDEX)["tars"][0]["frames"])
+        if packed != min(frames_per_tar, count):
+            raise InputError(f"{target} has {packed} frames a tar file, not {frames_per_tar}: expected another folder")
     for _ in verify(source):
         pass
-    count = store.description["config"]["count"]
     tars: list[dict[str, Any]] = []
     try:
         target.mkdir(parents=True, exist_ok=True)
@@ -66,6 +70,8 @@ def pack_frames(source: Path, target: Path, frames_per_tar: int) -> Iterator[int
                     temporary.write_bytes(content)
             tars.append({"name": path.name, "sha256": hashlib.sha256(content).hexdigest(), "frames": places})
             yield indices.stop
+        for path in set(target.glob("*.tar")) - {target / tar["name"] for tar in tars}:
+            path.unlink()  # of an interrupted run with fewer frames in each
         io.write_json(target / INDEX, {"tars": tars})
     except OSError as error:
         raise InputError(f"{target} can't be written: {error.strerror or error}") from error
@@ -120,21 +126,32 @@ def urls_in(url: str) -> dict[str, dict[str, Any]]:
     url = url.rstrip("/")
     try:
         files, root = fsspec.core.url_to_fs(url)
-        if files.exists(f"{root}/{DESCRIPTION}"):
+        if _is_there(files, f"{root}/{DESCRIPTION}"):
             places = [url]
         else:
             listed = sorted(path.rstrip("/") for path in files.ls(root, detail=False)) if files.exists(root) else []
-            places = [f"{url}/{path.rpartition('/')[2]}" for path in listed if files.exists(f"{path}/{DESCRIPTION}")]
-    except (OSError, ImportError, ValueError) as error:
+            places = [
+                f"{url}/{path.rpartition('/')[2]}" for path in listed if _is_there(files, f"{path}/{DESCRIPTION}")
+            ]
+    except Exception as error:  # every file system has errors of its own: of its network, its credentials
         raise InputError(f"data.url={url} can't be read: {error}") from error
     return {place: _read_json(f"{place}/{DESCRIPTION}") for place in places}
+
+
+def _is_there(files: fsspec.AbstractFileSystem, path: str) -> bool:
+    """Whether there is such a file; `exists` would take an unreachable host for one that lacks it."""
+    try:
+        files.cat_file(path, 0, 1)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
 
 
 def _read(url: str, start: int | None = None, end: int | None = None) -> bytes:
     try:
         files, path = fsspec.core.url_to_fs(url)
         return files.cat_file(path, start, end)
-    except (OSError, ImportError, ValueError) as error:
+    except Exception as error:  # as above
         raise InputError(f"{url} can't be read: {error}") from error
 
 

@@ -15,8 +15,8 @@ def bookcase(rng: np.random.Generator, palette: Palette) -> Furniture:
     body = pick(rng, (palette.wood, palette.wood, palette.paint))
     levels = np.linspace(0.06, height - board, max(3, round(height / 0.36)))
     parts = [Part("box", (board, depth, height), (x, depth / 2, 0), body) for x in mirrored((width - board) / 2)]
-    parts.append(Part("box", (width, 0.01, height - 0.02), (0, 0.005, 0.01), body))
-    parts += [Part("box", (width - board, depth - 0.01, board), (0, depth / 2, float(z)), body) for z in levels]
+    parts.append(Part("box", (width - board, 0.01, height - 0.02), (0, 0.005, 0.01), body))
+    parts += [Part("box", (width - 2 * board, depth - 0.01, board), (0, depth / 2, float(z)), body) for z in levels]
     inner = width - 2 * board
     for low, high in pairwise(levels):
         parts += _books(rng, palette, inner, float(low) + board, float(high - low) - board, depth)
@@ -97,8 +97,8 @@ def fridge(rng: np.random.Generator, palette: Palette) -> Furniture:
         Part("box", (width, 0.05, height - split - 0.01), (0, depth - 0.03, split), shell),
         *(Part("box", (0.02, 0.03, 0.3), (0.25, depth, z), palette.metal) for z in (0.25, split + 0.1)),
     ]
-    for _ in range(int(rng.integers(0, 5))):
-        size_m = (rng.uniform(0.08, 0.21), 0.004, rng.uniform(0.08, 0.28))
+    for layer in range(int(rng.integers(0, 5))):
+        size_m = (rng.uniform(0.08, 0.21), 0.004 + 0.002 * layer, rng.uniform(0.08, 0.28))
         at_m = (rng.uniform(-0.18, 0.1), depth - 0.004, rng.uniform(split + 0.05, height - 0.3))
         parts.append(Part("box", size_m, at_m, pick(rng, (palette.linen, *palette.bright))))
     return Furniture("fridge", parts, width, depth + 0.015, height)
@@ -115,7 +115,7 @@ def counter(rng: np.random.Generator, palette: Palette) -> Furniture:
     sink_x, hob_x = (0.6 * (float(x) - (columns - 1) / 2) for x in rng.permutation(columns)[:2])
     fittings = [
         Part("box", (width, depth + 0.03, 0.04), (0, (depth + 0.03) / 2, height - 0.04), palette.stone),
-        Part("box", (width, 0.012, lift - height + 0.1), (0, 0.006, height), palette.tile),
+        Part("box", (width - 0.01, 0.012, lift - height + 0.1), (0, 0.006, height), palette.tile),
         Part("box", (0.5, 0.4, 0.006), (sink_x, 0.33, height), palette.metal),
         Part("rod", (0.025, 0.025, 0.22), (sink_x, 0.08, height), palette.metal),
         Part("box", (0.02, 0.16, 0.02), (sink_x, 0.15, height + 0.21), palette.metal),

@@ -1,6 +1,7 @@
 """Furniture of plausible sizes, built of solids.
 
-A piece stands in its own frame with the middle of its back at the origin and its front towards +y.
+A piece stands in its own frame with the middle of its back at the origin and its front towards +y. No two solids of a
+thing show faces that overlap in one plane: which is in front would be chance, and Cycles draws them black.
 """
 
 from dataclasses import dataclass
@@ -78,8 +79,8 @@ def sofa(rng: np.random.Generator, palette: Palette, seats: int | None = None) -
     width = inner + 2 * arm
     cloth = palette.fabric
     parts = [
-        Part("box", (width, depth - 0.03, 0.26), (0, depth / 2, 0.06), cloth),
-        Part("box", (width, 0.22, back - 0.06), (0, 0.11, 0.06), cloth),
+        Part("box", (width - 0.02, depth - 0.03, 0.26), (0, depth / 2, 0.06), cloth),
+        Part("box", (width - 0.01, 0.22, back - 0.06), (0, 0.11, 0.06), cloth),
         *(Part("box", (arm, depth, 0.54), (x, depth / 2, 0.06), cloth) for x in mirrored((width - arm) / 2)),
         *(Part("box", (0.05, 0.05, 0.06), (x, y + 0.1, 0), palette.dark) for x, y in _four(width - 0.2, depth - 0.2)),
     ]
@@ -137,7 +138,7 @@ def bed(rng: np.random.Generator, palette: Palette) -> Furniture:
     width, length = float(rng.choice([0.95, 1.4, 1.65])), 2.1
     parts = [
         Part("box", (width, length, 0.2), (0, length / 2, 0.1), palette.wood),
-        Part("box", (width, 0.06, rng.uniform(0.8, 1.1)), (0, 0.03, 0), palette.wood),
+        Part("box", (width + 0.02, 0.06, rng.uniform(0.8, 1.1)), (0, 0.03, 0), palette.wood),
         *(Part("box", (0.07, 0.07, 0.1), (x, y + 0.05, 0), palette.wood) for x, y in _four(width - 0.1, length - 0.1)),
         Part("box", (width - 0.06, length - 0.14, 0.2), (0, length / 2, 0.3), palette.linen),
         Part("box", (width + 0.02, length - 0.62, 0.12), (0, length / 2 + 0.28, 0.42), palette.fabric),

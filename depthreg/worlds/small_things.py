@@ -95,7 +95,7 @@ def _picture_frame(rng: np.random.Generator, palette: Palette) -> list[Part]:
 def _laptop(rng: np.random.Generator, palette: Palette) -> list[Part]:
     return [
         Part("box", (0.32, 0.22, 0.016), (0, 0, 0), palette.metal),
-        Part("box", (0.32, 0.01, 0.21), (0, -0.11, 0.01), palette.dark),
+        Part("box", (0.316, 0.01, 0.21), (0, -0.11, 0.01), palette.dark),
     ]
 
 

@@ -51,7 +51,7 @@ def decorations(rng: np.random.Generator, palette: Palette, plan: Floorplan, hei
 def _door(palette: Palette) -> list[Part]:
     return [
         Part("box", (0.83, 0.02, 2.02), (0, 0.01, 0), palette.wood),
-        *(Part("box", (0.06, 0.05, 2.1), (x, 0.025, 0), palette.paint) for x in mirrored(0.445)),
+        *(Part("box", (0.06, 0.05, 2.03), (x, 0.025, 0), palette.paint) for x in mirrored(0.445)),
         Part("box", (0.95, 0.05, 0.07), (0, 0.025, 2.03), palette.paint),
         Part("box", (0.12, 0.05, 0.02), (0.33, 0.05, 1.0), palette.metal),
         *(Part("box", (0.55, 0.012, 0.75), (0, 0.022, z), palette.wood) for z in (0.18, 1.12)),
@@ -61,9 +61,12 @@ def _door(palette: Palette) -> list[Part]:
 def _window(rng: np.random.Generator, palette: Palette, width: float, height: float) -> list[Part]:
     bar = 0.06
     parts = [
-        Part("box", (width, 0.01, height), (0, 0.005, 0), _DAYLIGHT),
+        Part("box", (width - bar, 0.01, height - bar), (0, 0.005, bar / 2), _DAYLIGHT),
         Part("box", (width + 0.1, 0.16, 0.03), (0, 0.08, -0.03), palette.paint),
-        *(Part("box", (bar, 0.05, height), (x, 0.025, 0), palette.paint) for x in (*mirrored((width - bar) / 2), 0.0)),
+        *(
+            Part("box", (bar, 0.05, height - 2 * bar), (x, 0.025, bar), palette.paint)
+            for x in (*mirrored((width - bar) / 2), 0.0)
+        ),
         *(Part("box", (width, 0.05, bar), (0, 0.025, z), palette.paint) for z in (0.0, height - bar)),
     ]
     if rng.random() < 0.6:
@@ -85,12 +88,13 @@ def _picture(rng: np.random.Generator, palette: Palette, width: float, height: f
     canvas = (inside[0] - 2 * mount, 0.029, inside[1] - 2 * mount)
     picture = pick(rng, palette.bright)
     parts.append(Part("box", canvas, (0, 0.0145, border + mount), picture))
-    for _ in range(int(rng.integers(1, 5))):  # a few fields of colour stand for the motif
+    for layer in range(int(rng.integers(1, 5))):  # a few fields of colour stand for the motif
         share_x, share_z = rng.uniform(0.1, 0.6, 2)
         at_x = canvas[0] * rng.uniform(share_x / 2 - 0.5, 0.5 - share_x / 2)
         at_z = border + mount + canvas[2] * rng.uniform(0, 1 - share_z)
-        size_m = (share_x * canvas[0], 0.031, share_z * canvas[2])
-        parts.append(Part("box", size_m, (at_x, 0.0155, at_z), pick(rng, palette.bright)))
+        depth = 0.031 + 0.002 * layer
+        size_m = (share_x * canvas[0], depth, share_z * canvas[2])
+        parts.append(Part("box", size_m, (at_x, depth / 2, at_z), pick(rng, palette.bright)))
     return parts
 
 
@@ -107,5 +111,5 @@ def _clock(palette: Palette, width: float) -> list[Part]:
         Part("box", (width, 0.02, width), (0, 0.01, 0), palette.dark),
         Part("box", (width - 0.03, 0.026, width - 0.03), (0, 0.013, 0.015), palette.linen),
         Part("box", (0.012, 0.03, 0.4 * width), (0, 0.015, hand), palette.dark),
-        Part("box", (0.3 * width, 0.03, 0.012), (0.15 * width, 0.015, hand), palette.dark),
+        Part("box", (0.3 * width, 0.032, 0.012), (0.15 * width, 0.016, hand), palette.dark),
     ]

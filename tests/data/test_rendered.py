@@ -133,7 +133,7 @@ def test_a_changed_byte_is_found_and_its_file_is_named(copied: Path, capsys: pyt
     assert "000002/albedo.png" in message and len(message.splitlines()) == 1
     (copied / "000001" / "rgb.png").unlink()
     assert main(["render", f"out={copied}", "verify=true"]) == 2
-    assert "000001/rgb.png" in capsys.readouterr().err
+    assert "000001/rgb.png is missing: remove" in capsys.readouterr().err
 
 
 def test_a_damaged_frame_that_was_removed_is_rendered_as_it_was(copied: Path) -> None:

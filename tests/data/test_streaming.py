@@ -2,7 +2,7 @@
 
 import tarfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -130,11 +130,27 @@ def test_the_packed_data_set_of_a_world_is_found(packed: Path) -> None:
         of_world(urls_in(str(packed / "nowhere")), "nowhere", WORLD)
 
 
-@pytest.mark.parametrize("url", ["/nowhere/frames", "nosuch://bucket/frames"])
-def test_a_place_that_cannot_be_read_is_one_sentence(url: str) -> None:
+@pytest.mark.parametrize("read", [TarStore, urls_in])
+@pytest.mark.parametrize("url", ["nosuch://bucket/frames", "http://127.0.0.1:9/frames"])  # 9: nobody listens
+def test_a_place_that_cannot_be_read_is_one_sentence(url: str, read: Callable[[str], object]) -> None:
     with pytest.raises(InputError, match=r"/frames.*can't be read") as refusal:
-        TarStore(url)
+        read(url)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_data_set_is_not_packed_again_in_other_portions(
+    rendered: Path, packed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = {path: path.read_bytes() for path in packed.iterdir()}
+    assert main(["pack", str(rendered), str(packed), "--frames-per-tar", "2"]) == 2
+    assert "has 3 frames a tar file, not 2" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in packed.iterdir()} == before
+
+    cut = tmp_path / "interrupted"  # before its index was written
+    assert main(["pack", str(rendered), str(cut), "--frames-per-tar", "2"]) == 0
+    (cut / "index.json").unlink()
+    assert main(["pack", str(rendered), str(cut), "--frames-per-tar", "3"]) == 0
+    assert {path.name: path.read_bytes() for path in cut.iterdir()} == {p.name: c for p, c in before.items()}
 
 
 def test_a_cut_tar_file_is_named(packed: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +11,12 @@ import pytest
 from depthreg.data.sample import Frame
 from depthreg.errors import InputError
 from depthreg.rendering import Camera, render_frame
-from depthreg.worlds import HouseholdWorld, cupboards, furniture, small_things
+from depthreg.worlds import HouseholdWorld, cupboards, furniture, household, small_things, wall_things
 from depthreg.worlds.floorplan import Floorplan, Pose
 from depthreg.worlds.furniture import Surface
 from depthreg.worlds.interior import draw_palette
 from depthreg.worlds.poses import camera_from_world
-from depthreg.worlds.scene import Light, Material, Scene
+from depthreg.worlds.scene import Light, Material, Scene, SceneObject
 from depthreg.worlds.shapes import Part, assemble, join
 from tests.worlds.test_blocks import fingerprint
 
@@ -51,6 +52,44 @@ def test_every_pixel_sees_something_in_the_room(scenes: list[Scene], frames: lis
     for scene, frame in zip(scenes, frames, strict=True):
         assert frame.depth_m.min() > 0.2
         assert frame.depth_m.max() < np.linalg.norm(_room(scene))
+
+
+def _boxes(parts: list[Part]) -> np.ndarray:
+    """Least and largest coordinates of the boxes that aren't turned, (N, 2, 3)."""
+    upright = [part for part in parts if part.shape == "box" and part.yaw_deg % 180 == 0]
+    return np.array([np.multiply(p.size_m, [(-0.5, -0.5, 0), (0.5, 0.5, 1)]) + p.at_m for p in upright]).reshape(
+        -1, 2, 3
+    )
+
+
+def _share_a_plane(boxes: np.ndarray, side: int, axis: int) -> bool:
+    """Whether the sides of two boxes overlap in one plane where no other box covers them."""
+    others = [k for k in range(3) if k != axis]
+    for first, second in combinations(boxes, 2):
+        low, high = np.maximum(first[0], second[0]), np.minimum(first[1], second[1])
+        if abs(first[side, axis] - second[side, axis]) < 1e-6 and (high - low)[others].min() > 1e-4:
+            before = (low + high) / 2
+            before[axis] = first[side, axis] + (1e-4 if side else -1e-4)
+            if not ((boxes[:, 0] < before) & (before < boxes[:, 1])).all(axis=1).any():
+                return True
+    return False
+
+
+def test_faces_in_view_do_not_lie_in_one_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which of them is in front would be chance, and path tracers draw them black."""
+    things = []
+
+    def record(name: str, parts: list[Part], *where: Any, **turned: Any) -> list[SceneObject]:
+        things.append((name, _boxes(parts)))
+        return assemble(name, parts, *where, **turned)
+
+    for module in (household, wall_things):
+        monkeypatch.setattr(module, "assemble", record)
+    for index in INDICES:
+        HouseholdWorld()(11, index)
+    visible = [(0, 0), (1, 0), (1, 1), (1, 2)]  # left, right, front, top; backs are at the wall
+    assert len(things) > 100
+    assert not {name for name, boxes in things for side, axis in visible if _share_a_plane(boxes, side, axis)}
 
 
 def test_depths_are_those_of_a_room(frames: list[Frame]) -> None:
