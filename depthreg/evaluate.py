@@ -2,7 +2,8 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -10,7 +11,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
@@ -19,7 +20,7 @@ from torchmetrics import MeanMetric
 
 from depthreg.baselines import COMPLETION_BASELINES, registration_baselines
 from depthreg.checkpoint import find_checkpoint, load_network
-from depthreg.config import build_simulator
+from depthreg.config import build_simulator, require_counts, run_application
 from depthreg.data import io
 from depthreg.data.datamodule import VALIDATION_SEED_OFFSET
 from depthreg.data.sample import Measurement
@@ -38,14 +39,27 @@ MIN_SIDE_PX = 64  # of the smallest image that a network takes
 T = TypeVar("T")
 
 
+def main(argv: Sequence[str]) -> int:
+    """Run `depthreg evaluate OVERRIDES`."""
+    return run_application("evaluate", run, argv, check)
+
+
 def check(config: DictConfig) -> None:
     """Refuse what can't be meant, before any work.
 
     Raises:
-        InputError: A value can't be meant, or the checkpoint or the data set can't be read.
+        InputError: A value is missing or can't be meant, or the checkpoint or the data set can't be read.
     """
     if config.data.name in ("rendered", "streaming"):
         raise InputError(f"data={config.data.name} is to train on: expected one of synthetic, kitti, folder, ...")
+    missing = sorted(OmegaConf.missing_keys(config))
+    if missing:
+        raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")
+    require_counts(config, ["limit", "data.val_count"])
+    require_counts(config, ["panels", "seed"], at_least=0)
+    for key, limit in {"max_corner_shift_px": 200, "difficulty": 1, "offset_share": 1}.items():
+        if not isinstance(config[key], int | float) or not 0 <= config[key] <= limit:
+            raise InputError(f"{key}={config[key]}: expected a number from 0 to {limit}")
     load_network(_checkpoint(config))
     dataset = build_dataset(config)
     if config.data.name != "synthetic":  # every file is tried before anything is written
@@ -157,12 +171,17 @@ def both_settings(
 
 
 class Scores:
-    """Running metrics of all methods on all tasks."""
+    """Running metrics of all methods on all tasks, of this process alone: others may have left by now."""
 
     def __init__(self) -> None:
-        self.depth: dict[tuple[str, str], DepthMetrics] = defaultdict(DepthMetrics)
-        self.registration: dict[tuple[str, str], RegistrationMetrics] = defaultdict(RegistrationMetrics)
-        self.means: dict[tuple[str, str], dict[str, MeanMetric]] = defaultdict(lambda: defaultdict(MeanMetric))
+        alone = {"sync_on_compute": False}
+        self.depth: dict[tuple[str, str], DepthMetrics] = defaultdict(partial(DepthMetrics, **alone))
+        self.registration: dict[tuple[str, str], RegistrationMetrics] = defaultdict(
+            partial(RegistrationMetrics, **alone)
+        )
+        self.means: dict[tuple[str, str], dict[str, MeanMetric]] = defaultdict(
+            partial(defaultdict, partial(MeanMetric, **alone))
+        )
 
     def score_depth(self, task: str, sample: Measurement, output: JointOutput, seconds: float) -> None:
         """Score a batch of one, that the network completed in `seconds`, and the baselines on it."""

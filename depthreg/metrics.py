@@ -1,5 +1,7 @@
 """How good a depth map, a registration or an aligned image is, in the field's own definitions."""
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from kornia.metrics import ssim
@@ -81,14 +83,17 @@ class DepthMetrics(Metric):
 
     `compute()` returns a dictionary with the `DEPTH_KEYS` (NaN where no image had truth); in a Lightning
     module, write `self.log_dict(metric.compute())` at the epoch's end.
+
+    Args:
+        **options: Those of every torchmetrics `Metric`.
     """
 
     full_state_update = False
     sums: Tensor
     images: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
         self.add_state("sums", torch.zeros(len(DEPTH_KEYS)), dist_reduce_fx="sum")
         self.add_state("images", torch.tensor(0), dist_reduce_fx="sum")
 
@@ -109,6 +114,9 @@ class RegistrationMetrics(Metric):
     rotation and scale are absolute differences, translation is that of the image's centre. The identity's own
     corner error stands beside, because an error means nothing without the size of what had to be found.
     `compute()` raises ValueError where no frame was added.
+
+    Args:
+        **options: Those of every torchmetrics `Metric`.
     """
 
     full_state_update = False
@@ -118,8 +126,8 @@ class RegistrationMetrics(Metric):
     rotation_deg: list[Tensor]
     scale_pct: list[Tensor]
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
         for name in ("corner_px", "identity_corner_px", "translation_px", "rotation_deg", "scale_pct"):
             self.add_state(name, [], dist_reduce_fx="cat")
 

@@ -7,6 +7,7 @@ import lightning as L
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor
+from torchmetrics import MeanMetric, MetricCollection
 
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.losses import JointLoss
@@ -67,6 +68,9 @@ class Stage(L.LightningModule):
         self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
         self.brightness, self.val_difficulty, self.seed = brightness, val_difficulty, seed
         self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
+        # Lightning's own means over an epoch are wrong where processes have unequally many frames.
+        names = [_logged(name) for name in ("total", *loss.terms)]
+        self.val_losses = MetricCollection({name: MeanMetric() for name in names}, compute_groups=False)
 
     def on_after_batch_transfer(self, batch: FrameBatch | Measurement, dataloader_idx: int) -> Measurement:
         """Simulate sensors on the device; a batch that is measured already passes through."""
@@ -78,30 +82,33 @@ class Stage(L.LightningModule):
         generators = frame_generators(frames, self.seed, *self.name.encode(), self.trainer.current_epoch)
         return augment(simulate_each(self.simulator, frames, self.difficulty, generators), generators, self.brightness)
 
-    def _step(self, batch: Measurement, split: str) -> tuple[JointOutput, Tensor]:
+    def _step(self, batch: Measurement) -> tuple[JointOutput, dict[str, Tensor]]:
+        """What the network says, and the losses by the names under which they are logged."""
         output = self.network(batch["rgb"], batch["depth_m"])
         losses = self.loss(output, batch)
-        logs = {f"{split}/loss" if name == "total" else f"{split}/{name}_loss": value for name, value in losses.items()}
-        self.log_dict(logs, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
-        return output, losses["total"]
+        return output, {_logged(name): value for name, value in losses.items()}
 
     def training_step(self, batch: Measurement, batch_idx: int) -> Tensor:
         """The loss of a batch."""
-        _, loss = self._step(batch, "train")
+        _, losses = self._step(batch)
+        logs = {f"train/{name}": value for name, value in losses.items()}
+        self.log_dict(logs, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]), sync_dist=True)
         self.log("train/difficulty", self.difficulty, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
-        return loss
+        return losses["loss"]
 
     def validation_step(self, batch: Measurement, batch_idx: int) -> None:
         """Add a batch to the epoch's metrics."""
-        output, _ = self._step(batch, "val")
+        output, losses = self._step(batch)
+        for name, value in losses.items():
+            cast(MeanMetric, self.val_losses[name]).update(value, len(batch["rgb"]))
         self.depth_metrics.update(output.depth_m, batch["truth_depth_m"])
         height, width = batch["rgb"].shape[-2:]
         truth = batch["truth_affine_rgb_from_depth"]
         self.registration_metrics.update(output.affine_rgb_from_depth, truth, (height, width))
 
     def on_validation_epoch_end(self) -> None:
-        """Log depth and registration metrics over all validation frames."""
-        for metrics in (self.depth_metrics, self.registration_metrics):
+        """Log losses, depth and registration metrics over all validation frames."""
+        for metrics in (self.val_losses, self.depth_metrics, self.registration_metrics):
             self.log_dict({f"val/{name}": value for name, value in metrics.compute().items()})
             metrics.reset()
 
@@ -119,3 +126,8 @@ class Stage(L.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Record which network and stage these weights belong to."""
         checkpoint["depthreg"] = {"network": self.network.config, "stage": self.name}
+
+
+def _logged(name: str) -> str:
+    """The name under which a part of the loss is logged."""
+    return "loss" if name == "total" else f"{name}_loss"

@@ -1,8 +1,10 @@
 """`depthreg train`: walk the curriculum, each stage starting from the last one's weights."""
 
 import logging
+import math
 import os
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +19,23 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from depthreg.checkpoint import load_weights
-from depthreg.config import build
+from depthreg.config import build, require_counts, require_positive, run_application
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
+from depthreg.devices import check_devices, check_one_folder, device_count, is_first_process, strategy
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
+from depthreg.resume import resume_arguments
 from depthreg.run_folder import finish_stage, is_finished, start_record, write_record
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run `depthreg train OVERRIDES`."""
+    arguments = resume_arguments(argv)
+    check_one_folder(arguments)
+    return run_application("train", run, arguments, check)
 
 
 def check(config: DictConfig) -> None:
@@ -33,27 +44,40 @@ def check(config: DictConfig) -> None:
     Raises:
         InputError: In one sentence.
     """
+    counts = [
+        "data.train_count",
+        "data.val_count",
+        "data.batch_size",
+        *(f"stages.{name}.{key}" for name in config.stages for key in ("epochs", "patience")),
+    ]
+    require_counts(config, counts)
+    require_counts(config, ["seed", "data.workers"], at_least=0)
+    require_counts(config, ["data.width", "data.height"], at_least=64)
     if config.data.name not in DATA_MODULES:
         choices = ", ".join(f"data={name}" for name in DATA_MODULES)
         raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
+    if missing := OmegaConf.missing_keys(config):
+        raise InputError(f"{min(missing)} is missing: expected {min(missing)}=... on the command line")
+    require_positive(config, ["learning_rate"])
+    check_devices(config)
     network = build(config.model)
     for entry in walk(config):
-        build_stage(config, entry, network)
+        build_stage(config, entry, network).data.require_frames(device_count(config.trainer) or 1)
     if config.init_from:
         load_weights(network, Path(config.init_from))
 
 
 def _quieten() -> None:
     """Silence what Lightning and wandb say about a run that is as it should be."""
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
-    warnings.filterwarnings(
-        "ignore",
-        module="lightning",
-        message=".*(exists and is not empty|logging interval|num_workers|LeafSpec|eval mode).*",
+    for package in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(package).setLevel(logging.WARNING)
+    expected = (
+        *("exists and is not empty", "logging interval", "num_workers", "LeafSpec", "eval mode"),
+        *("sync_dist", "dataloader is not resumable", "`broadcast_buffers` is deprecated"),
+        "overridden `on_after_batch_transfer`",  # on purpose: the simulator is there
     )
-    warnings.filterwarnings(
-        "ignore", message=".*overridden `on_after_batch_transfer`.*"
-    )  # on purpose: the simulator is there
+    for message in expected:
+        warnings.filterwarnings("ignore", f".*{message}.*")
     os.environ.setdefault("WANDB_SILENT", "true")
 
 
@@ -65,11 +89,13 @@ def run(config: DictConfig) -> float:
     network: JointNetwork = build(config.model)
     if config.init_from:
         load_weights(network, Path(config.init_from))
-    if not config.resume:
+    if not config.resume and is_first_process():
         write_record(out, start_record(config, HydraConfig.get().overrides.task))
     entries = walk(config)
     for entry in entries:
         train_stage(config, entry, network, out / entry.label)
+    if not is_first_process():
+        return math.nan
     frames, results = evaluate_stage(config, entries[-1], network, out)
     console = Console()
     console.print(rich_table(results, f"{frames} synthetic frames never trained on"))
@@ -87,7 +113,7 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     module, datamodule, schedules = build_stage(config, entry, network)
     callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
-        **config.trainer,
+        **{**config.trainer, "strategy": strategy(config.trainer)},
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
         callbacks=[*callbacks, *schedules, *_checkpoints(folder), RichProgressBar()],
@@ -97,7 +123,8 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
         trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
     finally:
         wandb.finish()  # else the next stage would write into this stage's run
-    finish_stage(folder, trainer.current_epoch, trainer.global_step)
+    if is_first_process():
+        finish_stage(folder, trainer.current_epoch, trainer.global_step)
 
 
 def _checkpoints(folder: Path) -> list[ModelCheckpoint]:

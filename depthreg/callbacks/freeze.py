@@ -13,8 +13,8 @@ class FreezeSchedule(L.Callback):
     """Freezes the named modules in every `period`-th epoch, counted from 1; a period of 1 is every epoch.
 
     A frozen module stops learning and normalises by its stored statistics. Nothing is remembered, so a resumed run
-    freezes what the uninterrupted one would have. Under DDP the set of learning parameters changes after the wrap:
-    use `trainer.strategy=ddp_find_unused_parameters_true`.
+    freezes what the uninterrupted one would have. On several devices it needs `depthreg.devices.DataParallel`, or
+    Lightning's `ddp_find_unused_parameters_true`: what learns changes after DDP has looked at it.
 
     Args:
         modules: Names within the network, such as `completion` or `completion.head`.

@@ -77,7 +77,7 @@ class FramesDataModule(L.LightningDataModule):
     ) -> None:
         super().__init__()
         self.train_frames, self.val_frames, self.batch_size, self.seed = train_frames, val_frames, batch_size, seed
-        self._require_frames(ranks=1)
+        self.require_frames(ranks=1)
         self.done = (0, 0)  # epoch, and batches of it
         self.options: dict[str, Any] = {
             "batch_size": batch_size,
@@ -86,7 +86,12 @@ class FramesDataModule(L.LightningDataModule):
             "persistent_workers": workers > 0,
         }
 
-    def _require_frames(self, ranks: int) -> None:
+    def require_frames(self, ranks: int) -> None:
+        """Check that every process of a run gets a training batch and a validation frame.
+
+        Raises:
+            InputError: There are too few.
+        """
         count, val_count, needed = len(self.train_frames), len(self.val_frames), ranks * self.batch_size
         if count < needed:
             batch = f"{self.batch_size} in each of {ranks} processes" if ranks > 1 else f"{self.batch_size}"
@@ -105,7 +110,7 @@ class FramesDataModule(L.LightningDataModule):
             InputError: There are too few frames for so many processes.
         """
         rank, ranks = self._place()
-        self._require_frames(ranks)
+        self.require_frames(ranks)
         epoch, batches = self.done
         shuffle = EpochShuffle(len(self.train_frames), self.seed, rank, ranks, (epoch, batches * self.batch_size))
         if self.trainer:  # workers draw the order before Lightning names the epoch that a resumed run starts with
