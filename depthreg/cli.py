@@ -5,22 +5,24 @@ import sys
 from collections.abc import Sequence
 
 from depthreg import __version__
+from depthreg.application import run_application
 from depthreg.errors import InputError
 
-COMMANDS = {  # name -> module with main(argv) -> exit status, and what it does
-    "train": ("depthreg.train", "walk the curriculum, or one stage of it"),
-    "evaluate": ("depthreg.evaluate", "score a checkpoint beside the classical baselines"),
-    "compare": ("depthreg.compare", "see what changing one thing did, over many runs"),
-    "complete": ("depthreg.complete", "complete and register your own files"),
-    "gallery": ("depthreg.gallery", "see what each stage of the curriculum measures"),
-    "render": ("depthreg.render", "write a data set of a synthetic world"),
-    "pack": ("depthreg.pack", "put such a data set into tar files to stream from"),
+COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
+    "train": "walk the curriculum, or one stage of it",
+    "evaluate": "score a checkpoint beside the classical baselines",
+    "compare": "see what changing one thing did, over many runs",
+    "complete": "complete and register your own files",
+    "gallery": "see what each stage of the curriculum measures",
+    "render": "write a data set of a synthetic world",
+    "pack": "put such a data set into tar files to stream from",
 }
+APPLICATIONS = ("train", "evaluate", "gallery", "render")  # Hydra composes them; the others parse their own arguments
 
 
 def usage() -> str:
     """What `depthreg --help` prints."""
-    commands = "\n".join(f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items())
+    commands = "\n".join(f"  {name:<10} {what}" for name, what in COMMANDS.items())
     return f"""usage: depthreg COMMAND ...
 
 Align colour with sparse depth and complete the depth.
@@ -47,7 +49,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"depthreg: unknown command '{name}': expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     try:
-        return importlib.import_module(COMMANDS[name][0]).main(rest)
+        if name in APPLICATIONS:
+            return run_application(name, rest)
+        return importlib.import_module(f"depthreg.{name}").main(rest)
     except InputError as error:
         print(f"depthreg {name}: {error}", file=sys.stderr)
         return 2

@@ -1,27 +1,30 @@
-"""Hydra configuration: where it lies, how an application starts, and which values can't go together."""
+"""Hydra configuration: where it lies, what it composes to, and how a bad override is refused."""
 
 import difflib
-import functools
-import os
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import hydra
-from hydra import compose, initialize_config_dir
+from hydra import version
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException, InstantiationException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, Sweep
+from hydra.errors import HydraException, InstantiationException, OverrideParseException
 from hydra.types import RunMode
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
+from depthreg.checks import check_ranges, check_type
 from depthreg.errors import InputError
-from depthreg.sensors import SensorSimulator
+
+if TYPE_CHECKING:  # PyTorch takes seconds, and a mistake is to be answered at once
+    from depthreg.sensors import SensorSimulator
 
 _PACKAGE = Path(__file__).parent
 # A wheel carries conf/ inside the package; a checkout and an editable install have it beside the package.
@@ -29,105 +32,129 @@ CONF_DIR = next(path for path in (_PACKAGE / "conf", _PACKAGE.parent / "conf") i
 
 OmegaConf.register_new_resolver("sum", lambda *numbers: sum(numbers))  # experiments add up epochs with it
 
-Check = Callable[[DictConfig], None]
-
-
-def run_application(
-    name: str, task: Callable[[DictConfig], Any], argv: Sequence[str], check: Check | None = None
-) -> int:
-    """Run a Hydra application; bad overrides are reported before its folder is made.
-
-    Args:
-        name: The primary configuration, and the command's name.
-        task: What to do with the composed configuration.
-        argv: Overrides and Hydra's own flags.
-        check: Raises `InputError` for values that can't be meant.
-
-    Returns:
-        The exit status.
-
-    Raises:
-        InputError: An override names no key, or `check` refused a value.
-    """
-    flagged = any(argument.startswith("-") for argument in argv)
-    if not flagged:  # with flags, such as a sweep's, Hydra composes itself, perhaps several jobs
-        config = compose_config(name, argv)
-        if check:
-            check(config)
-    program = sys.argv[0]
-    sys.argv = [f"depthreg {name}", *argv]  # what Hydra reads
-
-    refused: list[InputError] = []
-
-    @functools.wraps(task)
-    def guarded(config: DictConfig) -> Any:
-        sys.argv = [program, name, *argv]  # what Lightning starts again for each further device
-        try:
-            if flagged and check:
-                check(config)
-            return task(config)
-        except InputError as error:
-            if (
-                HydraConfig.get().mode == RunMode.MULTIRUN
-            ):  # the job, perhaps on another machine, has to count as failed
-                raise
-            refused.append(error)  # Hydra would say more than one sentence
-            return None
-
-    try:
-        with _raising_errors():
-            hydra.main(version_base="1.3", config_path=str(CONF_DIR), config_name=name)(guarded)()
-    except (HydraException, OmegaConfBaseException) as error:
-        raise InputError(_explain(error, name)) from error
-    if refused:
-        raise refused[0]
-    return 0
-
 
 @contextmanager
-def _raising_errors() -> Iterator[None]:
-    """Let Hydra raise what a sweep's job raised, for which it would print a traceback and exit with 1."""
-    key, before = "HYDRA_FULL_ERROR", os.environ.get("HYDRA_FULL_ERROR")
-    os.environ[key] = "1"
+def open_hydra(name: str, config_dir: str | None = None) -> Iterator[Hydra]:
+    """Hydra with our configurations and, first, those of another folder; what was open before is so again afterwards.
+
+    Raises:
+        InputError: `config_dir` is no folder.
+    """
+    version.setbase("1.3")
+    search_path = create_config_search_path(str(CONF_DIR))
+    if config_dir:
+        folder = Path(config_dir).resolve()
+        if not folder.is_dir():
+            raise InputError(f"--config-dir {config_dir}: expected a folder")
+        schema = SearchPathQuery(provider="schema")
+        search_path.prepend(provider="command-line", path=f"file://{folder}", anchor=schema)
+    instance = GlobalHydra.instance()
+    before, instance.hydra = instance.hydra, None
     try:
-        yield
+        yield Hydra.create_main_hydra2(name, search_path)
     finally:
-        del os.environ[key]
-        if before is not None:
-            os.environ[key] = before
+        instance.hydra = before
 
 
-def compose_config(name: str, overrides: Sequence[str] = ()) -> DictConfig:
+def compose_config(name: str, overrides: Sequence[str] = (), config_dir: str | None = None) -> DictConfig:
     """Compose a primary configuration with every reference resolved, as `depthreg NAME OVERRIDES` would.
 
     Raises:
-        InputError: In one sentence, naming the override and the nearest key or the choices.
+        InputError: In one sentence, naming the override and the nearest key, the choices, or what was expected.
     """
-    GlobalHydra.instance().clear()
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONF_DIR)):
-        try:
-            config = compose(name, overrides=list(overrides))
-            OmegaConf.to_container(config, resolve=True)
-        except (HydraException, OmegaConfBaseException, ValueError) as error:
-            raise InputError(_explain(error, name)) from error
+    with open_hydra(name, config_dir) as hydra, refusing_overrides(hydra, name):
+        parsed = parse_overrides(hydra, overrides)
+        groups = [str(item.input_line) for item in parsed if is_group(hydra, item)]
+        keys = [item.key_or_group for item in parsed if not (is_group(hydra, item) or item.is_hydra_override())]
+        config = _compose(hydra, name, overrides)
+        values = OmegaConf.to_container(config)
+        defaults = OmegaConf.to_container(_compose(hydra, name, groups), resolve=True) if keys else {}
+        for key in keys:
+            check_type(key, _select(defaults, key), _select(values, key))
+        OmegaConf.to_container(config, resolve=True)  # raises where a reference leads nowhere
+    check_ranges(config)
     return config
 
 
-def _explain(error: Exception, name: str) -> str:
-    """Hydra's complaint as one sentence, with the nearest key where a key is unknown."""
-    text = " ".join(str(error).split())
-    if unknown := re.search(r"Could not override '([^']+)'", text):
-        key = unknown[1]
-        keys = _all_keys(OmegaConf.to_container(compose(name), resolve=False))
-        near = difflib.get_close_matches(key, keys, n=1, cutoff=0.5)
-        return f"unknown configuration key '{key}'" + (
-            f": did you mean '{near[0]}'?" if near else f"; see `depthreg {name} --help`"
+def _compose(hydra: Hydra, name: str, overrides: Sequence[str]) -> DictConfig:
+    config = hydra.compose_config(name, list(overrides), RunMode.RUN, from_shell=False)
+    with open_dict(config):
+        config.pop("hydra", None)
+    return config
+
+
+def _select(node: Any, key: str) -> Any:
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, dict) else None
+    return node
+
+
+def parse_overrides(hydra: Hydra, overrides: Sequence[str]) -> list[Override]:
+    """Overrides as Hydra reads them.
+
+    Raises:
+        InputError: One is no `key=value`, or `group=choice` names no choice.
+    """
+    parser = OverridesParser.create(hydra.config_loader)
+    parsed = []
+    for override in overrides:
+        try:
+            parsed += parser.parse_overrides([override])
+        except OverrideParseException as error:
+            reason = "" if "missing EQUAL" in str(error) else f" ({one_line(error)})"
+            raise InputError(f"{override} can't be read{reason}: expected key=value, or quotes around it") from error
+    for item in parsed:
+        if is_group(hydra, item) and not (item.is_delete() or isinstance(item.value(), str | list | Sweep)):
+            choices = ", ".join(hydra.config_loader.get_group_options(item.key_or_group))
+            raise InputError(f"{item.input_line}: expected one of {choices}, or ~{item.get_key_element()} for none")
+    return parsed
+
+
+def is_group(hydra: Hydra, override: Override) -> bool:
+    """Whether an override chooses a file of a group, instead of setting a key."""
+    return bool(hydra.config_loader.get_group_options(override.key_or_group))
+
+
+@contextmanager
+def refusing_overrides(hydra: Hydra, name: str) -> Iterator[None]:
+    """Turn what Hydra says about overrides into one sentence.
+
+    Raises:
+        InputError: For each of Hydra's and OmegaConf's own errors.
+    """
+    try:
+        yield
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        raise InputError(_explain(hydra, error, name)) from error
+
+
+def _explain(hydra: Hydra, error: Exception, name: str) -> str:
+    text = one_line(error)
+    if unknown := re.search(r"Could not (?:override|delete)[^']*'([^']+)'", text):
+        near = nearest(unknown[1], _all_keys(OmegaConf.to_container(_compose(hydra, name, []))))
+        return f"unknown configuration key '{unknown[1]}'" + (
+            f": did you mean '{near}'?" if near else f"; see `depthreg {name} --help`"
         )
     if missing := re.search(
-        r"Could not find '([^']+)'.*Available options in '[^']+':(.*?)(Config search path|$)", text
+        r"Could not find '(.+)/([^/']+)'.*Available options in '[^']+':(.*?)(Config search path|$)", text
     ):
-        return f"unknown choice '{missing[1]}': expected one of {', '.join(missing[2].split())}"
+        return f"unknown choice '{missing[1]}={missing[2]}': expected one of {', '.join(missing[3].split())}"
+    if ambiguous := re.search(r"Ambiguous value for argument '([^']+)'", text):
+        return f"{ambiguous[1]}: expected one value, a list in brackets, or -m before it to run one job for each value"
     return text
+
+
+def one_line(error: BaseException) -> str:
+    """What an error says, without line breaks and links."""
+    return " ".join(str(error).split(" See https://")[0].split("\nSee https://")[0].split())
+
+
+def nearest(word: str, keys: Sequence[str]) -> str | None:
+    """The key that is most likely meant, whole or by its last part."""
+    last_parts = {key.rpartition(".")[2]: key for key in reversed(keys)}
+    whole = difflib.get_close_matches(word, keys, n=1, cutoff=0.75)
+    near = whole or difflib.get_close_matches(word, [*keys, *last_parts], n=1, cutoff=0.6)
+    return last_parts.get(near[0], near[0]) if near else None
 
 
 def _all_keys(node: Any, prefix: str = "") -> list[str]:
@@ -135,18 +162,6 @@ def _all_keys(node: Any, prefix: str = "") -> list[str]:
         return []
     keys = [f"{prefix}{key}" for key in node]
     return keys + [deep for key, value in node.items() for deep in _all_keys(value, f"{prefix}{key}.")]
-
-
-def require_positive(config: DictConfig, keys: Sequence[str]) -> None:
-    """Check that each key holds a number above zero.
-
-    Raises:
-        InputError: Naming the key and its value.
-    """
-    for key in keys:
-        value = OmegaConf.select(config, key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-            raise InputError(f"{key}={value}: expected a number above 0")
 
 
 def build(node: DictConfig, **arguments: Any) -> Any:
@@ -161,24 +176,14 @@ def build(node: DictConfig, **arguments: Any) -> Any:
         raise InputError(f"{node._target_}: {error.__cause__ or error}") from error
 
 
-def build_simulator(node: DictConfig) -> SensorSimulator:
+def build_simulator(node: DictConfig) -> "SensorSimulator":
     """The sensor simulator of a stage, or of another node with a sensor and a largest misalignment.
 
     Raises:
         InputError: A part refuses a value.
         ValueError: The simulator does.
     """
+    from depthreg.sensors import SensorSimulator
+
     parts = {key: build(node[key]) for key in ("offset", "color", "weather") if node.get(key)}
     return SensorSimulator(build(node.sensor), node.max_corner_shift_px, offset_share=node.offset_share, **parts)
-
-
-def require_counts(config: DictConfig, keys: Sequence[str], at_least: int = 1) -> None:
-    """Check that each key, where the configuration has it, holds a whole number of at least so much.
-
-    Raises:
-        InputError: Naming the key and its value.
-    """
-    for key in keys:
-        value = OmegaConf.select(config, key)
-        if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < at_least):
-            raise InputError(f"{key}={value}: expected a whole number, at least {at_least}")

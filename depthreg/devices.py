@@ -6,7 +6,6 @@ from typing import Any
 
 import torch
 import torch.distributed
-from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from lightning.pytorch.strategies import DDPStrategy
 from lightning.pytorch.utilities.rank_zero import rank_zero_only
@@ -106,20 +105,25 @@ def check_devices(config: DictConfig) -> None:
         )
     if outside > 1 and "TORCHELASTIC_RUN_ID" not in os.environ and "SLURM_NTASKS_PER_NODE" not in os.environ:
         raise InputError("srun --ntasks doesn't say how many tasks a node has: expected srun --ntasks-per-node")
-    sweep = HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN
-    if sweep and count != 1 and outside == 1:
-        raise InputError(
-            f"trainer.devices={trainer.devices} in a sweep would start the whole sweep again for each device: "
-            "expected torchrun --nproc-per-node, or a launcher that gives each job its tasks"
-        )
 
 
-def check_one_folder(argv: Sequence[str]) -> None:
-    """Refuse processes that wouldn't find each other: each one's clock would name a folder.
+def check_start(config: DictConfig, settings: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuse a start by which several processes wouldn't find each other, or would each do everything.
+
+    Args:
+        config: The composed configuration.
+        settings: Hydra's own part of it.
+        overrides: As given.
 
     Raises:
-        InputError: torchrun or srun started several, and the arguments don't say where the run's folder is.
+        InputError: In one sentence.
     """
-    outside = outside_processes()
-    if outside > 1 and not any(argument.startswith(("hydra.run.dir=", "hydra.sweep.dir=")) for argument in argv):
+    trainer, outside = config.trainer, outside_processes()
+    tasks = settings.launcher.get("tasks_per_node", 1) * settings.launcher.get("nodes", 1)  # Slurm's, of each job
+    if settings.mode == RunMode.MULTIRUN and device_count(trainer) != 1 and max(outside, tasks) == 1:
+        raise InputError(
+            f"trainer.devices={trainer.devices} in a sweep would start the whole sweep again for each device: "
+            "expected torchrun --nproc-per-node, or hydra/launcher=submitit_slurm with hydra.launcher.tasks_per_node"
+        )
+    if outside > 1 and not any(item.startswith(("hydra.run.dir=", "hydra.sweep.dir=")) for item in overrides):
         raise InputError(f"{outside} processes have to share a folder: expected hydra.run.dir=runs/NAME beside them")

@@ -2,7 +2,7 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor, nn
@@ -20,7 +20,7 @@ from torchmetrics import MeanMetric
 
 from depthreg.baselines import COMPLETION_BASELINES, registration_baselines
 from depthreg.checkpoint import find_checkpoint, load_network
-from depthreg.config import build_simulator, require_counts, run_application
+from depthreg.config import build_simulator
 from depthreg.data import io
 from depthreg.data.datamodule import VALIDATION_SEED_OFFSET
 from depthreg.data.sample import Measurement
@@ -39,27 +39,14 @@ MIN_SIDE_PX = 64  # of the smallest image that a network takes
 T = TypeVar("T")
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run `depthreg evaluate OVERRIDES`."""
-    return run_application("evaluate", run, argv, check)
-
-
 def check(config: DictConfig) -> None:
     """Refuse what can't be meant, before any work.
 
     Raises:
-        InputError: A value is missing or can't be meant, or the checkpoint or the data set can't be read.
+        InputError: A value can't be meant, or the checkpoint or the data set can't be read.
     """
     if config.data.name in ("rendered", "streaming"):
         raise InputError(f"data={config.data.name} is to train on: expected one of synthetic, kitti, folder, ...")
-    missing = sorted(OmegaConf.missing_keys(config))
-    if missing:
-        raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")
-    require_counts(config, ["limit", "data.val_count"])
-    require_counts(config, ["panels", "seed"], at_least=0)
-    for key, limit in {"max_corner_shift_px": 200, "difficulty": 1, "offset_share": 1}.items():
-        if not isinstance(config[key], int | float) or not 0 <= config[key] <= limit:
-            raise InputError(f"{key}={config[key]}: expected a number from 0 to {limit}")
     load_network(_checkpoint(config))
     dataset = build_dataset(config)
     if config.data.name != "synthetic":  # every file is tried before anything is written

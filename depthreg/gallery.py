@@ -12,7 +12,7 @@ from rich.progress import track
 from torch import Tensor
 
 from depthreg import train
-from depthreg.config import build, require_counts, run_application
+from depthreg.config import build
 from depthreg.curriculum import build_stage, walk
 from depthreg.data import io
 from depthreg.data.sample import FrameBatch, Measurement
@@ -26,20 +26,14 @@ from depthreg.viz import depth_limits_m, depth_tile, edges_overlay, enlarge, gri
 _CELL_WIDTH_PX = 480  # of each picture, larger ones are shrunk
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run `depthreg gallery OVERRIDES`."""
-    return run_application("gallery", run, argv, check)
-
-
 def check(config: DictConfig) -> None:
     """Refuse what can't be meant, before any work.
 
     Raises:
         InputError: In one sentence.
     """
-    require_counts(config, ["scenes"])
-    if not config.difficulties or not all(0 <= difficulty <= 1 for difficulty in config.difficulties):
-        raise InputError(f"difficulties={list(config.difficulties)}: expected numbers from 0 to 1")
+    if not config.difficulties:
+        raise InputError("difficulties=[]: expected numbers from 0 to 1")
     train.check(config)
 
 

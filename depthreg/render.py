@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from depthreg.config import build, require_counts, require_positive, run_application
+from depthreg.config import build
 from depthreg.data import io, rendered
 from depthreg.data.frame_files import read_frame, write_frame
 from depthreg.data.synthetic import FixedCamera, SyntheticFrames
@@ -30,22 +30,12 @@ _NOT_OF_THE_FRAMES = ("out", "workers", "shard", "shards", "verify")  # keys tha
 _OVERVIEW_COUNT = 24
 
 
-def main(argv: Sequence[str]) -> int:
-    """Run `depthreg render OVERRIDES`."""
-    return run_application("render", run, argv, check)
-
-
 def check(config: DictConfig) -> None:
     """Refuse what can't be meant, before any work.
 
     Raises:
         InputError: In one sentence.
     """
-    require_counts(config, ["count", "camera.width", "camera.height", "workers", "shards"])
-    require_counts(config, ["seed", "shard"], at_least=0)
-    require_positive(config, ["depth_scale"])
-    if config.shard >= config.shards:
-        raise InputError(f"shard={config.shard} of shards={config.shards}: expected at most {config.shards - 1}")
     focal_px = config.camera.focal_px
     if isinstance(focal_px, str):
         raise InputError(f"camera.focal_px={focal_px}: expected a positive number of pixels")

@@ -4,7 +4,6 @@ import logging
 import math
 import os
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +18,15 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from depthreg.checkpoint import load_weights
-from depthreg.config import build, require_counts, require_positive, run_application
+from depthreg.config import build
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
-from depthreg.devices import check_devices, check_one_folder, device_count, is_first_process, strategy
+from depthreg.devices import check_devices, device_count, is_first_process, strategy
 from depthreg.errors import InputError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
-from depthreg.resume import resume_arguments
 from depthreg.run_folder import finish_stage, is_finished, start_record, write_record
-
-
-def main(argv: Sequence[str]) -> int:
-    """Run `depthreg train OVERRIDES`."""
-    arguments = resume_arguments(argv)
-    check_one_folder(arguments)
-    return run_application("train", run, arguments, check)
 
 
 def check(config: DictConfig) -> None:
@@ -44,21 +35,9 @@ def check(config: DictConfig) -> None:
     Raises:
         InputError: In one sentence.
     """
-    counts = [
-        "data.train_count",
-        "data.val_count",
-        "data.batch_size",
-        *(f"stages.{name}.{key}" for name in config.stages for key in ("epochs", "patience")),
-    ]
-    require_counts(config, counts)
-    require_counts(config, ["seed", "data.workers"], at_least=0)
-    require_counts(config, ["data.width", "data.height"], at_least=64)
     if config.data.name not in DATA_MODULES:
         choices = ", ".join(f"data={name}" for name in DATA_MODULES)
         raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
-    if missing := OmegaConf.missing_keys(config):
-        raise InputError(f"{min(missing)} is missing: expected {min(missing)}=... on the command line")
-    require_positive(config, ["learning_rate"])
     check_devices(config)
     network = build(config.model)
     for entry in walk(config):

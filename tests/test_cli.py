@@ -7,9 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
+from omegaconf import OmegaConf
 
 from depthreg import __version__
-from depthreg.cli import COMMANDS, main
+from depthreg.cli import APPLICATIONS, COMMANDS, main
+from depthreg.config import CONF_DIR
 
 
 @pytest.fixture
@@ -58,12 +61,82 @@ def test_an_unknown_command_is_refused(empty_folder: Path, capsys: pytest.Captur
     assert "'trian'" in said and all(name in said for name in COMMANDS)
 
 
-@pytest.mark.parametrize("name", ["train", "evaluate", "render"])
-@pytest.mark.parametrize("bad", ["zzz=1", "seeed=1", "seed"])
-def test_an_override_that_means_nothing_is_refused(
-    name: str, bad: str, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+FLAGS = [["-m"], ["--multirun"], ["--cfg", "job"], ["-c", "job", "--resolve"], ["--info", "defaults"]]
+
+
+@pytest.mark.parametrize("flags", FLAGS, ids=" ".join)
+@pytest.mark.parametrize("bad", ["seeed=1", "seed", "seed=1.5", "seed=-1"])
+def test_an_override_that_means_nothing_is_refused_whatever_the_flags(
+    flags: list[str], bad: str, empty_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert bad.split("=")[0] in refusal([name, bad], empty_folder, capsys)
+    assert bad.split("=")[0] in refusal(["train", *flags, bad], empty_folder, capsys)
+
+
+@pytest.mark.parametrize("name", APPLICATIONS)
+@pytest.mark.parametrize("argv", [["zzz=1"], ["-m", "seed=1.5"]], ids=" ".join)
+def test_an_override_that_means_nothing_is_refused_by_every_command(
+    name: str, argv: list[str], empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert argv[-1].split("=")[0] in refusal([name, *argv], empty_folder, capsys)
+
+
+def test_a_mistake_is_found_before_pytorch_is_imported(tmp_path: Path) -> None:
+    """Which takes seconds. `-X importtime` lists every module as it is imported."""
+    command = [sys.executable, "-X", "importtime", "-m", "depthreg", "train", "data.batch_size=300"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and "depthreg train: data.train_count=240 is below" in done.stderr
+    modules = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    assert "omegaconf" in modules and not {"torch", "lightning", "wandb"} & modules
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        (["--sweep"], "--sweep"),
+        (["--cfg", "jobs"], "invalid choice: 'jobs'"),
+        (["-cn", "trian"], "trian"),
+        (["--config-dir", "nowhere"], "nowhere"),
+        (["-m", "--cfg", "job"], "Only one of"),
+    ],
+)
+def test_a_flag_that_means_nothing_is_refused(
+    flags: list[str], said: str, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert said in refusal(["train", *flags], empty_folder, capsys)
+
+
+@pytest.mark.parametrize("name", APPLICATIONS)
+def test_help_shows_every_group_and_key_of_a_command_and_nothing_of_hydra(
+    name: str, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "--help"]) == 0
+    text = capsys.readouterr().out
+    own = OmegaConf.load(CONF_DIR / f"{name}.yaml")
+    groups = {group for default in own.defaults if isinstance(default, dict) for group in default}
+    plain = {group for group in groups if not group.startswith(("stage@", "override ", "optional "))}
+    assert all(f"\n  {group} " in text for group in plain)
+    assert all(f"\n  {key}" in text for key in own if key not in ("defaults", "hydra"))
+    assert f"\n  depthreg {name} " in text and "Hydra" not in text and "_target_" not in text
+    assert max(map(len, text.splitlines())) <= 120
+    assert list(empty_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", APPLICATIONS)
+def test_the_composed_configuration_is_shown_without_running_it(
+    name: str, empty_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([name, "--cfg", "job", "seed=7"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7
+    assert list(empty_folder.iterdir()) == []
+
+
+def test_choices_of_a_users_own_folder_are_found(empty_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = empty_folder.parent / "mine" / "experiment"
+    folder.mkdir(parents=True)
+    (folder / "slow.yaml").write_text("# @package _global_\nlearning_rate: 1.0e-5\n")
+    assert main(["train", "--config-dir", str(folder.parent), "experiment=slow", "--cfg", "job"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["learning_rate"] == 1e-5
 
 
 @pytest.mark.parametrize(
@@ -71,18 +144,18 @@ def test_an_override_that_means_nothing_is_refused(
     [
         (["data.widht=96"], "did you mean 'data.width'"),
         (["model=papr"], "expected one of paper"),
-        (["model=3"], "group"),
+        (["model=3"], "model=3: expected one of paper, small"),
         (["learning_rate=[1"], "[1"),
         (["data.train_count=-3"], "data.train_count=-3"),
         (["data.val_count=0"], "data.val_count=0"),
         (["data.batch_size=1.5"], "data.batch_size=1.5"),
         (["data.workers=-1"], "data.workers=-1"),
         (["data.width=63"], "data.width=63"),
-        (["epochs.full=0"], "epochs=0"),
+        (["epochs.full=0"], "epochs.full=0"),
         (["seed=-1"], "seed=-1"),
         (["data.train_count=2", "data.batch_size=3"], "at least one batch"),
         (["data=kitti", "data.root=x"], "expected data=synthetic, data=rendered"),
-        (["resume=a.ckpt", "init_from=b.ckpt"], "resume and init_from"),
+        (["resume=a.ckpt", "init_from=b.ckpt"], "expected no init_from=b.ckpt"),
         (["init_from=nowhere.ckpt"], "nowhere.ckpt"),
         (["resume=nowhere.ckpt"], "nowhere.ckpt"),
     ],
@@ -119,6 +192,6 @@ def test_an_interruption_ends_quietly(monkeypatch: pytest.MonkeyPatch, capsys: p
     def interrupted(argv: list[str]) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("depthreg.render.main", interrupted)
-    assert main(["render"]) == 130
+    monkeypatch.setattr("depthreg.pack.main", interrupted)
+    assert main(["pack"]) == 130
     assert "Traceback" not in capsys.readouterr().err

@@ -223,8 +223,9 @@ def test_a_shard_that_fails_in_a_sweep_is_named(
     monkeypatch.setattr(render, "write_frame", full)
     assert run("shard=0,1", "shards=2", flags=["-m"]) == 2
     message = capsys.readouterr().err
-    assert message.splitlines()[-1].startswith("depthreg render: shard 1 of 2: ")
-    assert "'shard=1'" in message and "No space left" in message
+    assert message.splitlines()[-2] == "depthreg render: 1 of 2 jobs failed:"
+    assert message.splitlines()[-1].startswith("  job 1 (shard=1): shard 1 of 2: ")
+    assert "No space left" in message
     assert {path.name for path in out.glob("0*")} == {"000000", "000001", "000002"}
 
 

@@ -200,7 +200,7 @@ def test_a_network_without_registration_leaves_colour_where_it_was(name: str, tr
         ),
         (["stages.full.difficulty.shape=cubic"], "stages.full: shape must be one of linear, cosine, steps"),
         (["stages.full.patience=0"], "stages.full.patience=0: expected a whole number, at least 1"),
-        (["loss.depth.weight=-1"], "weights must be at least 0"),
+        (["loss.depth.weight=-1"], "loss.depth.weight=-1: expected a number, at least 0"),
     ],
 )
 def test_a_curriculum_that_cannot_be_walked_is_refused(
