@@ -15,6 +15,7 @@ from depthreg.comparison.runs import Curve, StageLog
 
 LOSSES = {"val/loss": "validation loss", "train/loss": "training loss"}
 DIFFICULTY = "train/difficulty"
+DETAIL = "detail"  # name of what the page can leave out: bands and single seeds
 FROZEN = "frozen/"  # with a module's name: 1 in epochs in which it doesn't learn
 
 _COLORS = qualitative.T10
@@ -68,7 +69,7 @@ def stage_figure(rows: Sequence[Row], stage: str) -> go.Figure:
         if modules:
             figure.add_traces(_freezing_traces(row, i, len(rows), logs[i], modules), 4, 1)
     epochs = max(log.epochs for some in logs.values() for log in some)
-    _style(figure, modules, epochs, sum(heights) + 40 * len(heights) + 40)
+    _style(figure, modules, max(epochs, 1), sum(heights) + 40 * len(heights) + 40)
     return figure
 
 
@@ -79,14 +80,11 @@ def _loss_traces(row: Row, index: int, logs: Sequence[StageLog], column: str) ->
     traces = []
     if len(curves) > 1:
         traces = [_band(index, epochs, mean, std), _singles(index, curves)]
-    label = f"<b>%{{y:.4g}}</b> {_hover_name(row)}<extra></extra>"
+        for trace in traces:
+            trace.name = DETAIL
     deviations = ["" if math.isnan(value) else f" ± {value:.3g}" for value in std]
-    traces.append(
-        _scatter(index, epochs, mean.tolist(), width=2.2, text=deviations).update(
-            hovertemplate=label.replace("</b>", "</b>%{text}")
-        )
-    )
-    return traces
+    label = f"<b>%{{y:.4g}}</b>%{{text}} {_hover_name(row)}<extra></extra>"
+    return [*traces, _scatter(index, epochs, mean.tolist(), width=2.2, text=deviations, hovertemplate=label)]
 
 
 def _hover_name(row: Row) -> str:
@@ -97,7 +95,7 @@ def _hover_name(row: Row) -> str:
 def _scatter(
     index: int, x: Sequence[int | None], y: Sequence[float | None], width: float, **options: object
 ) -> go.Scatter:
-    """A line in the row's colour; `meta` is how the page finds what belongs to a row."""
+    """A line in the row's colour; the page finds what belongs to a row by `meta`."""
     line = {"color": row_color(index), "width": width, "dash": row_dash(index)}
     mode = "lines+markers" if len(x) == 1 else "lines"
     return go.Scatter(x=list(x), y=list(y), mode=mode, line=line, meta=index, showlegend=False, **options)
@@ -141,27 +139,24 @@ def _freezing_traces(
     row: Row, index: int, count: int, logs: Sequence[StageLog], modules: Sequence[str]
 ) -> list[go.Bar]:
     """Bars over the epochs in which a module is frozen: each row has a narrow lane in the module's one."""
+    if not logs:
+        return []
+    curves = max(logs, key=lambda log: log.epochs).curves  # the same in every seed, as far as it has come
+    spans = [(m, *span) for m, name in enumerate(modules) for span in frozen_spans(curves.get(FROZEN + name, {}))]
     lane = 0.8 / count
-    bars = []
-    for log in sorted(logs, key=lambda log: log.epochs)[-1:]:  # the same in every seed, as far as it has come
-        spans = [
-            (m, *span) for m, name in enumerate(modules) for span in frozen_spans(log.curves.get(FROZEN + name, {}))
-        ]
-        bars.append(
-            go.Bar(
-                base=[first - 0.5 for _, first, _ in spans],
-                x=[last - first + 1 for _, first, last in spans],
-                y=[m - 0.4 + lane * (index + 0.5) for m, *_ in spans],
-                width=lane,
-                orientation="h",
-                marker={"color": row_color(index), "line": {"width": 0}},
-                customdata=[f"{modules[m]}, epochs {first} to {last}" for m, first, last in spans],
-                hovertemplate=f"frozen: %{{customdata}}<br>{_hover_name(row)}<extra></extra>",
-                meta=index,
-                showlegend=False,
-            )
-        )
-    return bars
+    bar = go.Bar(
+        base=[first - 0.5 for _, first, _ in spans],
+        x=[last - first + 1 for _, first, last in spans],
+        y=[m - 0.4 + lane * (index + 0.5) for m, *_ in spans],
+        width=lane,
+        orientation="h",
+        marker={"color": row_color(index), "line": {"width": 0}},
+        customdata=[f"{modules[m]}, epochs {first} to {last}" for m, first, last in spans],
+        hovertemplate=f"frozen: %{{customdata}}<br>{_hover_name(row)}<extra></extra>",
+        meta=index,
+        showlegend=False,
+    )
+    return [bar]
 
 
 def frozen_spans(curve: Curve) -> list[tuple[int, int]]:

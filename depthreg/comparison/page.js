@@ -4,7 +4,7 @@ const $ = (selector) => document.querySelector(selector);
 const $$ = (selector) => [...document.querySelectorAll(selector)];
 const shown = data.rows.map(() => true);
 
-// --- the table ---------------------------------------------------------------------------------------------------
+// The table
 
 function chooseSet(set) {
   for (const button of $$("button.set")) button.setAttribute("aria-pressed", button.dataset.set === set);
@@ -36,7 +36,7 @@ function sortBy(heading) {
   body.append(...[...body.children].sort(compare));
 }
 
-// --- the curves --------------------------------------------------------------------------------------------------
+// The curves
 
 const plots = data.figures.map((_, i) => document.getElementById(`plot-${i}`));
 
@@ -47,14 +47,18 @@ function drawCurves() {
 }
 
 function showCurves() {
-  for (const plot of plots) Plotly.restyle(plot, { visible: plot.data.map((trace) => shown[trace.meta]) });
+  const details = $("#details").checked;
+  for (const plot of plots) {
+    const visible = plot.data.map((trace) => shown[trace.meta] && (details || trace.name !== "detail"));
+    Plotly.restyle(plot, { visible });
+  }
 }
 
 function scaleLosses(type) {
   for (const plot of plots) Plotly.relayout(plot, { "yaxis.type": type, "yaxis2.type": type });
 }
 
-// --- the pictures ------------------------------------------------------------------------------------------------
+// The pictures
 
 function showPictures() {
   if (!$("#strip")) return;
@@ -99,7 +103,7 @@ function nothing() {
   return box;
 }
 
-// --- what is clicked ---------------------------------------------------------------------------------------------
+// What is clicked
 
 for (const button of $$("button.set")) button.addEventListener("click", () => chooseSet(button.dataset.set));
 for (const heading of $$("#table thead [aria-sort]")) {
@@ -118,6 +122,7 @@ for (const box of $$("#table tbody input")) {
 for (const link of $$("#table tbody a")) {
   link.addEventListener("click", () => { $(link.getAttribute("href")).open = true; });
 }
+$("#details").addEventListener("change", showCurves);
 $("#log").addEventListener("change", (event) => scaleLosses(event.target.checked ? "log" : "linear"));
 for (const control of $$("#moment, #frame, #seed")) control.addEventListener("input", showPictures);
 $("#zoom").addEventListener("click", (event) => { if (event.target === $("#zoom")) $("#zoom").close(); });

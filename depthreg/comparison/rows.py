@@ -177,11 +177,13 @@ def warnings(rows: Sequence[Row]) -> list[str]:
     for row in rows:
         if repeated := [seed for seed, count in Counter(run.seed for run in row.runs).items() if count > 1]:
             found.append(f"{row.name}: seed {repeated[0]} was run more than once, and counts each time.")
-    for seed in dict.fromkeys(run.seed for run in runs):
-        if len({_fingerprint(run.results) for run in runs if run.results and run.seed == seed}) > 1:
-            found.append(
-                f"With seed {seed}, the rows were evaluated on different frames: the baselines' scores differ."
-            )
+    seen: dict[Any, set[tuple[str, ...]]] = {}
+    for run in runs:
+        if run.results:
+            seen.setdefault(run.seed, set()).add(_fingerprint(run.results))
+    if differing := [str(seed) for seed, frames in seen.items() if len(frames) > 1]:
+        seeds = f"seed{'s' * (len(differing) > 1)} {', '.join(differing)}"
+        found.append(f"Runs of {seeds} were evaluated on different frames, as the baselines' scores differ.")
     return found
 
 

@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -90,7 +89,7 @@ class Run:
         batches = devices * trainer.get("num_nodes", 1) * trainer.get("accumulate_grad_batches", 1)
         return self.steps * batches * (self.config.get("data") or {}).get("batch_size", 1)
 
-    @cached_property
+    @property
     def state(self) -> str:
         """`finished`, or how far it has come and whether it failed."""
         if self.results is not None:

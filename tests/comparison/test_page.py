@@ -103,6 +103,11 @@ def test_an_unticked_row_leaves_the_curves_and_the_pictures(three_rows: None, op
     assert set(page.evaluate(visible)) == {0, 1, 2} and page.locator("#strip figure").count() == 3
     page.get_by_label("show loss.weight=0.02").uncheck()
     assert set(page.evaluate(visible)) == {0, 2}
+    page.locator("#details").uncheck()
+    drawn = (
+        "document.getElementById('plot-0').data.filter(t => t.visible && t.type === 'scatter').map(t => t.line.width)"
+    )
+    assert min(page.evaluate(drawn)) > 1  # means alone
     assert page.locator("#strip figcaption").all_text_contents() == ["loss.weight=0.1", "loss.weight=0.3"]
 
 
