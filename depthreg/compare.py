@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import NoReturn
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,18 +13,11 @@ from depthreg.comparison.rows import make_rows, warnings
 from depthreg.comparison.runs import find_runs, read_run
 from depthreg.comparison.tables import markdown, rich_table, write_csv
 from depthreg.data import io
-from depthreg.errors import InputError
-
-
-class _Parser(argparse.ArgumentParser):
-    """Argparse that complains in one sentence, like everything else here."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InputError(message)
+from depthreg.errors import ArgumentParser
 
 
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = _Parser(
+    parser = ArgumentParser(
         prog="depthreg compare",
         description="Compare runs of `depthreg train`. Those that differ in the seed alone make one row: mean and "
         "standard deviation.",

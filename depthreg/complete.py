@@ -4,7 +4,7 @@ import argparse
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from depthreg.checkpoint import find_checkpoint, load_network
 from depthreg.data import io
 from depthreg.data.sample import Measurement
-from depthreg.errors import InputError
+from depthreg.errors import ArgumentParser, InputError
 from depthreg.geometry import decompose_affine, unproject, warp_affine
 from depthreg.networks import JointOutput
 from depthreg.viz import sample_panel, to_picture
@@ -58,15 +58,8 @@ def main(argv: Sequence[str]) -> int:
     return 0
 
 
-class _Parser(argparse.ArgumentParser):
-    """Argparse that complains in one sentence, like everything else here."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InputError(message)
-
-
 def _parse(argv: Sequence[str]) -> argparse.Namespace:
-    parser = _Parser(
+    parser = ArgumentParser(
         prog="depthreg complete",
         description="Align colour with sparse depth and complete the depth.",
         epilog="Writes depth.npy (metres), depth.png, rgb_aligned.png, affine.json, panel.png and, with "

@@ -1,6 +1,5 @@
 """`depthreg pack`: a rendered data set as tar files, to be streamed by many machines."""
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,12 +8,12 @@ from rich.progress import track
 
 from depthreg.data.rendered import FolderStore
 from depthreg.data.streaming import pack_frames
-from depthreg.errors import InputError
+from depthreg.errors import ArgumentParser, InputError
 
 
 def main(argv: Sequence[str]) -> int:
     """Run `depthreg pack SOURCE TARGET`."""
-    parser = argparse.ArgumentParser("depthreg pack", description="Put a data set into tar files to stream from.")
+    parser = ArgumentParser("depthreg pack", description="Put a data set into tar files to stream from.")
     parser.add_argument("source", type=Path, help="folder of `depthreg render`")
     parser.add_argument("target", type=Path, help="new folder; an interrupted run goes on there")
     parser.add_argument("--frames-per-tar", type=int, default=100, help="default: 100, some 300 MB at 1242x375")
