@@ -63,6 +63,15 @@ def load_network(path: Path) -> JointNetwork:
     return network.eval()
 
 
+def steps_done(path: Path) -> int:
+    """Steps of the stage that a checkpoint is from, 0 where there is none yet.
+
+    Raises:
+        InputError: See `read_checkpoint`.
+    """
+    return read_checkpoint(path)["global_step"] if path.exists() else 0
+
+
 def load_weights(network: JointNetwork, path: Path) -> None:
     """Copy a checkpoint's weights into a network of the same configuration.
 

@@ -2,22 +2,17 @@
 
 import logging
 import math
-import os
 import warnings
 from pathlib import Path
-from typing import Any
 
 import lightning as L
 import torch
-import wandb
 from hydra.core.hydra_config import HydraConfig
-from hydra.utils import instantiate
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
-from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from depthreg.checkpoint import load_weights
+from depthreg.checkpoint import load_weights, steps_done
 from depthreg.config import build
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
@@ -27,6 +22,7 @@ from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
 from depthreg.run_folder import finish_stage, is_finished, start_record, write_record
+from depthreg.trackers import Trackers, check_trackers, open_trackers
 
 
 def check(config: DictConfig) -> None:
@@ -39,6 +35,7 @@ def check(config: DictConfig) -> None:
         choices = ", ".join(f"data={name}" for name in DATA_MODULES)
         raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
     check_devices(config)
+    check_trackers(config)
     network = build(config.model)
     for entry in walk(config):
         build_stage(config, entry, network).data.require_frames(device_count(config.trainer) or 1)
@@ -57,7 +54,6 @@ def _quieten() -> None:
     )
     for message in expected:
         warnings.filterwarnings("ignore", f".*{message}.*")
-    os.environ.setdefault("WANDB_SILENT", "true")
 
 
 def run(config: DictConfig) -> float:
@@ -71,18 +67,21 @@ def run(config: DictConfig) -> float:
     if not config.resume and is_first_process():
         write_record(out, start_record(config, HydraConfig.get().overrides.task))
     entries = walk(config)
-    for entry in entries:
-        train_stage(config, entry, network, out / entry.label)
-    if not is_first_process():
-        return math.nan
-    frames, results = evaluate_stage(config, entries[-1], network, out)
+    with open_trackers(config, out, [entry.label for entry in entries]) as trackers:
+        for entry in entries:
+            train_stage(config, entry, network, out / entry.label, trackers)
+        if not is_first_process():
+            return math.nan
+        frames, results = evaluate_stage(config, entries[-1], network, out)
+        trackers.log_results(results)
     console = Console()
     console.print(rich_table(results, f"{frames} synthetic frames never trained on"))
-    console.print(f"run      {out}\npicture  {out / 'panels' / '000000.png'}", soft_wrap=True)
+    lines = [f"run      {out}", f"picture  {out / 'panels' / '000000.png'}"]
+    console.print("\n".join([*lines, *(f"curves   {hint}" for hint in trackers.hints)]), soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
 
 
-def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder: Path) -> None:
+def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder: Path, trackers: Trackers) -> None:
     """Fit one stage, or the rest of it; its checkpoints, logs and pictures go to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     last = folder / "last.ckpt"
@@ -96,13 +95,11 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
         callbacks=[*callbacks, *schedules, *_checkpoints(folder), RichProgressBar()],
-        logger=_loggers(config, entry.label, folder),
+        logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
     )
-    try:
-        trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
-    finally:
-        wandb.finish()  # else the next stage would write into this stage's run
+    trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
     if is_first_process():
+        trackers.log_checkpoints(entry.label, folder)
         finish_stage(folder, trainer.current_epoch, trainer.global_step)
 
 
@@ -113,20 +110,6 @@ def _checkpoints(folder: Path) -> list[ModelCheckpoint]:
         folder, filename="best", monitor="val/loss", enable_version_counter=False, save_weights_only=True
     )
     return [last, best]
-
-
-def _loggers(config: DictConfig, name: str, folder: Path) -> list[Logger]:
-    places: dict[str, dict[str, Any]] = {
-        "csv": {"save_dir": folder},
-        "wandb": {
-            "save_dir": folder,
-            "name": name,
-            "group": folder.parent.name,
-            "config": OmegaConf.to_container(config, resolve=True),
-        },
-    }
-    chosen = {key: logger for key, logger in (config.logger or {}).items() if logger}
-    return [instantiate(logger, _partial_=True)(**places[key]) for key, logger in chosen.items()]
 
 
 def evaluate_stage(config: DictConfig, entry: Entry, network: JointNetwork, out: Path) -> tuple[int, Results]:

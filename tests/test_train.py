@@ -164,13 +164,6 @@ def test_data_that_cannot_be_trained_on_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_each_stage_has_a_wandb_run_of_its_own_that_stays_offline(train: Train) -> None:
-    folder = train("logger=wandb", "callbacks.panels=null")
-    for name in STAGES:
-        (run,) = (folder / name / "wandb").glob("offline-run-*")
-        assert list(run.glob("*.wandb"))
-
-
 def test_the_papers_preset_trains(train: Train) -> None:
     """At the size of `TINY`'s frames; the network and the loss are the paper's."""
     widths = "model.completion_widths=[64,128,256,512]"  # TINY narrows them
