@@ -12,6 +12,7 @@ import yaml
 
 from depthreg.checkpoint import load_network
 from depthreg.cli import main
+from depthreg.comparison.runs import read_run
 
 STAGES = ("joint", "completion", "full")
 TINY = [
@@ -73,6 +74,17 @@ def test_the_run_ends_with_a_table_and_pictures(curriculum: Path) -> None:
     assert all(word in table for word in ("ours", "nearest", "identity", "RMSE (m)", "corner mean (px)"))
     assert (curriculum / "metrics.csv").read_text().count("\n") > 10
     assert len(list((curriculum / "panels").glob("*.png"))) == 2
+
+
+def test_what_a_run_leaves_is_what_a_comparison_reads(curriculum: Path, tmp_path: Path) -> None:
+    run = read_run(curriculum)
+    assert run.state == "finished" and list(run.stages) == list(STAGES)
+    assert run.steps == 3 * 2 and run.frames == 3 * 4  # one epoch of two batches of two, in each stage
+    frozen = {column for column, curve in run.stages["completion"].curves.items() if "frozen/" in column and curve[0]}
+    assert frozen == {"frozen/first_rgb", "frozen/first_depth", "frozen/registration"}
+    assert main(["compare", str(curriculum), "--out", str(tmp_path / "out")]) == 0
+    ours = next(csv.DictReader((curriculum / "metrics.csv").open()))["ours"]
+    assert f"| {float(ours):.3f} |" in (tmp_path / "out" / "compare.md").read_text()
 
 
 def test_the_stages_follow_each_other_in_the_papers_order(curriculum: Path) -> None:
