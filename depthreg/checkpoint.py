@@ -1,15 +1,44 @@
-"""Reading the network out of a stage's checkpoint."""
+"""A stage's checkpoint: writing it whole or not at all, and reading the network out of it."""
 
+import io
+import os
 import pickle
 from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.plugins import TorchCheckpointIO
 
-from depthreg.errors import InputError
+from depthreg.data.io import atomic_write
+from depthreg.errors import InputError, RunError
 from depthreg.networks import JointNetwork
 
 _PREFIX = "network."  # of the network's weights in a stage's state
+
+
+class AtomicCheckpointIO(TorchCheckpointIO):
+    """Replaces a checkpoint at once: whatever ends the process, the old or the new one is there, and weights are sound.
+
+    Lightning's own way writes into the system's folder for temporary files and copies from there.
+    """
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
+        """Write a checkpoint.
+
+        Raises:
+            RunError: A weight isn't finite.
+            OSError: The file can't be written; an earlier one is as it was.
+        """
+        weights = [value for value in checkpoint["state_dict"].values() if value.is_floating_point()]
+        if not all(value.isfinite().all() for value in weights):
+            raise RunError(f"weights are not finite any more, so {path} stays as it was: try a lower learning_rate")
+        buffer = io.BytesIO()  # a full disk is an OSError then, and not one of torch's own
+        torch.save(checkpoint, buffer)
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with atomic_write(Path(path)) as partial, partial.open("wb") as file:
+            file.write(buffer.getbuffer())
+            file.flush()
+            os.fsync(file.fileno())
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -72,8 +101,11 @@ def steps_done(path: Path) -> int:
     return read_checkpoint(path)["global_step"] if path.exists() else 0
 
 
-def load_weights(network: JointNetwork, path: Path) -> None:
+def load_weights(network: JointNetwork, path: Path) -> str:
     """Copy a checkpoint's weights into a network of the same configuration.
+
+    Returns:
+        What was loaded and what wasn't, in a sentence.
 
     Raises:
         InputError: The checkpoint is of another model, or see `read_checkpoint`.
@@ -89,4 +121,10 @@ def load_weights(network: JointNetwork, path: Path) -> None:
             f"{path} is a checkpoint of another model: expected {key}={network.config.get(key)}, "
             f"it has {key}={theirs.get(key)}"
         )
-    network.load_state_dict(_weights(checkpoint))
+    weights = _weights(checkpoint)
+    network.load_state_dict(weights)
+    origin = f"stage {checkpoint['depthreg']['stage']}, epoch {checkpoint['epoch']}, step {checkpoint['global_step']}"
+    return (
+        f"{path}: all {len(weights)} tensors of the network, of {origin}; "
+        "the optimizer, the learning rate's schedule and the difficulty start anew"
+    )

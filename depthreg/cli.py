@@ -1,12 +1,13 @@
 """The `depthreg` command: one dictionary of subcommands."""
 
+import errno
 import importlib
 import sys
 from collections.abc import Sequence
 
 from depthreg import __version__
 from depthreg.application import run_application
-from depthreg.errors import InputError
+from depthreg.errors import InputError, RunError
 
 COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
     "train": "walk the curriculum, or one stage of it",
@@ -18,6 +19,8 @@ COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
     "pack": "put such a data set into tar files to stream from",
 }
 APPLICATIONS = ("train", "evaluate", "gallery", "render")  # Hydra composes them; the others parse their own arguments
+
+_OF_THE_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR, errno.EIO}
 
 
 def usage() -> str:
@@ -55,6 +58,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except InputError as error:
         print(f"depthreg {name}: {error}", file=sys.stderr)
         return 2
+    except RunError as error:
+        print(f"depthreg {name}: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        if error.errno not in _OF_THE_DISK:
+            raise
+        print(f"depthreg {name}: {error.filename or 'a file'} can't be written: {error.strerror}", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print(f"depthreg {name}: interrupted", file=sys.stderr)
         return 130

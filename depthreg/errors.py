@@ -1,4 +1,4 @@
-"""The one error that a user's input can cause, and arguments that cause it."""
+"""The errors that end a command with one sentence instead of a traceback."""
 
 import argparse
 from typing import NoReturn
@@ -8,6 +8,13 @@ class InputError(ValueError):
     """Bad input: one sentence that names the file or key and what was expected.
 
     The command line prints it without a traceback and exits with status 2.
+    """
+
+
+class RunError(RuntimeError):
+    """What went wrong while working on good input, such as a full disk: one sentence that says what is left intact.
+
+    The command line prints it without a traceback and exits with status 1.
     """
 
 

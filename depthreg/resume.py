@@ -1,5 +1,6 @@
 """Resuming a run: the same command in the same folder, from what `run.yaml` recorded of it."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,6 +31,11 @@ def resume_arguments(argv: Sequence[str]) -> list[str]:
     _check_defaults(run, before, record["config"])
     place = str(run.resolve()).replace("\\", "\\\\").replace("'", "\\'")
     return [*before, *others, f"resume='{place}'", f"hydra.run.dir='{place}'", "hydra.output_subdir=null"]
+
+
+def was_requeued() -> bool:
+    """Whether Slurm starts this job again, with the same command, after it was preempted or asked to be queued."""
+    return int(os.environ.get("SLURM_RESTART_COUNT", 0)) > 0
 
 
 def _check_defaults(run: Path, overrides: Sequence[str], recorded: dict) -> None:

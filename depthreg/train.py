@@ -3,25 +3,30 @@
 import logging
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import lightning as L
 import torch
+from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
 from omegaconf import DictConfig
 from rich.console import Console
 
-from depthreg.checkpoint import load_weights, steps_done
+from depthreg.callbacks import Interruption
+from depthreg.checkpoint import AtomicCheckpointIO, load_weights, steps_done
 from depthreg.config import build
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.devices import check_devices, device_count, is_first_process, strategy
-from depthreg.errors import InputError
+from depthreg.errors import InputError, RunError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
 from depthreg.report import Results, rich_table, write_report
-from depthreg.run_folder import finish_stage, is_finished, start_record, write_record
+from depthreg.resume import was_requeued
+from depthreg.run_folder import RECORD, finish_stage, is_finished, start_record, write_record
 from depthreg.trackers import Trackers, check_trackers, open_trackers
 
 
@@ -59,13 +64,33 @@ def _quieten() -> None:
 def run(config: DictConfig) -> float:
     """Train the stages, evaluate, draw; returns the last stage's validation RMSE in metres, for sweeps."""
     out = Path(HydraConfig.get().runtime.output_dir).resolve()
+    with _alone_in(out) if is_first_process() else nullcontext():
+        return _run(config, out)
+
+
+@contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Keep other processes from training the same run; the system drops the lock of a process that was killed.
+
+    Raises:
+        InputError: Another one does.
+    """
+    try:
+        with FileLock(out / ".lock", blocking=False):
+            yield
+    except Timeout as error:
+        raise InputError(f"{out} is being trained by another process: expected that one to end first") from error
+
+
+def _run(config: DictConfig, out: Path) -> float:
     _quieten()
     L.seed_everything(config.seed, workers=True, verbose=False)
     network: JointNetwork = build(config.model)
+    console = Console(quiet=not is_first_process())
     if config.init_from:
-        load_weights(network, Path(config.init_from))
-    if not config.resume and is_first_process():
-        write_record(out, start_record(config, HydraConfig.get().overrides.task))
+        console.print(f"init_from {load_weights(network, Path(config.init_from))}", soft_wrap=True)
+    if is_first_process():
+        _note_start(config, out)
     entries = walk(config)
     with open_trackers(config, out, [entry.label for entry in entries]) as trackers:
         for entry in entries:
@@ -74,11 +99,22 @@ def run(config: DictConfig) -> float:
             return math.nan
         frames, results = evaluate_stage(config, entries[-1], network, out)
         trackers.log_results(results)
-    console = Console()
     console.print(rich_table(results, f"{frames} synthetic frames never trained on"))
     lines = [f"run      {out}", f"picture  {out / 'panels' / '000000.png'}"]
     console.print("\n".join([*lines, *(f"curves   {hint}" for hint in trackers.hints)]), soft_wrap=True)
     return results[MISALIGNED][OURS]["rmse_m"]
+
+
+def _note_start(config: DictConfig, out: Path) -> None:
+    """Write `run.yaml`, unless this run goes on.
+
+    Raises:
+        InputError: The folder holds a run that nobody asked to resume.
+    """
+    if not (out / RECORD).exists():
+        write_record(out, start_record(config, HydraConfig.get().overrides.task))
+    elif not (config.resume or was_requeued()):
+        raise InputError(f"{out} holds a run: expected resume={out}, or another folder")
 
 
 def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder: Path, trackers: Trackers) -> None:
@@ -88,28 +124,46 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     if is_finished(folder):
         load_weights(network, last)
         return
+    for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
+        partial.unlink()
     module, datamodule, schedules = build_stage(config, entry, network)
+    interruption = Interruption(last, config.checkpoint_every_steps, os.environ.get("SLURM_JOB_ID"))
     callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
         **{**config.trainer, "strategy": strategy(config.trainer)},
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
-        callbacks=[*callbacks, *schedules, *_checkpoints(folder), RichProgressBar()],
+        callbacks=[*callbacks, *schedules, RichProgressBar(), _best(folder), interruption],
         logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
+        plugins=[AtomicCheckpointIO()],
     )
-    trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
+    try:
+        trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
+    except Exception as error:
+        if sentence := _in_a_sentence(error):
+            raise sentence from error
+        raise
     if is_first_process():
         trackers.log_checkpoints(entry.label, folder)
         finish_stage(folder, trainer.current_epoch, trainer.global_step)
 
 
-def _checkpoints(folder: Path) -> list[ModelCheckpoint]:
-    """The newest and the best weights; `=` in a name would break Hydra overrides."""
-    last = ModelCheckpoint(folder, filename="last", enable_version_counter=False)
-    best = ModelCheckpoint(
+def _best(folder: Path) -> ModelCheckpoint:
+    """Keeps the weights of the lowest validation loss; `=` in a name would break Hydra overrides."""
+    return ModelCheckpoint(
         folder, filename="best", monitor="val/loss", enable_version_counter=False, save_weights_only=True
     )
-    return [last, best]
+
+
+def _in_a_sentence(error: Exception) -> InputError | RunError | None:
+    """What happened in a process that loads frames, without that process's traceback; None for all other errors."""
+    text = str(error).strip()
+    if "in DataLoader worker process" in text:  # an error of its own, whose last line names it
+        said = text.splitlines()[-1].partition(": ")[2]
+        return InputError(said) if isinstance(error, InputError) else RunError(f"while loading frames: {said}")
+    if text.startswith("DataLoader worker"):
+        return RunError(f"{text.splitlines()[0]} Out of memory? Expected fewer data.workers or smaller frames")
+    return None
 
 
 def evaluate_stage(config: DictConfig, entry: Entry, network: JointNetwork, out: Path) -> tuple[int, Results]:

@@ -55,6 +55,10 @@ class DifficultyRamp(L.Callback):
             done = min(math.floor(done * self.steps), self.steps - 1) / (self.steps - 1)
         return self.start + (self.end - self.start) * done
 
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """A run that is resumed within an epoch isn't told of its start."""
+        self.on_train_epoch_start(trainer, pl_module)
+
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Set the stage's difficulty for this epoch."""
         assert isinstance(pl_module, Stage)

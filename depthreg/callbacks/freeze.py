@@ -52,6 +52,11 @@ class FreezeSchedule(L.Callback):
         for name in self.frozen(epoch):
             network.get_submodule(name).requires_grad_(False).eval()
 
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """A run that is resumed within an epoch isn't told of its start."""
+        assert isinstance(pl_module, Stage)
+        self.apply(pl_module.network, trainer.current_epoch)
+
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Freeze what this epoch wants, and log it for each part of the network."""
         assert isinstance(pl_module, Stage)

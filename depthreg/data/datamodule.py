@@ -1,5 +1,6 @@
 """Training and validation frames for one stage."""
 
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,12 @@ from depthreg.sensors.simulator import seeded_generator
 from depthreg.worlds.scene import Scene
 
 VALIDATION_SEED_OFFSET = 1_000_003  # a prime far from any seed that users type
+
+
+def _ignore_signals(worker: int) -> None:
+    """A scheduler's signals go to every process, but it is the one that trains which saves and ends."""
+    for signum in (signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+        signal.signal(signum, signal.SIG_IGN)
 
 
 class EpochShuffle(Sampler[int]):
@@ -84,6 +91,7 @@ class FramesDataModule(L.LightningDataModule):
             "num_workers": workers,
             "collate_fn": collate_frames,
             "persistent_workers": workers > 0,
+            "worker_init_fn": _ignore_signals,
         }
 
     def require_frames(self, ranks: int) -> None:
