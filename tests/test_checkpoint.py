@@ -24,6 +24,8 @@ def checkpoint(tmp_path: Path, make_network: Callable[..., Any]) -> Path:
         {
             "state_dict": {**state, "loss.other": torch.ones(1)},
             "depthreg": {"network": network.config, "stage": "full"},
+            "epoch": 3,
+            "global_step": 12,
         },
         path,
     )
@@ -41,7 +43,8 @@ def test_weights_go_into_a_network_of_the_same_kind(checkpoint: Path, make_netwo
     network = make_network()
     for parameter in network.parameters():
         torch.nn.init.zeros_(parameter)
-    load_weights(network, checkpoint)
+    said = load_weights(network, checkpoint)
+    assert f"all {len(network.state_dict())} tensors" in said and "stage full, epoch 3, step 12" in said
     assert all(torch.equal(a, b) for a, b in zip(network.parameters(), make_network().parameters(), strict=True))
 
 
