@@ -127,7 +127,7 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
         partial.unlink()
     module, datamodule, schedules = build_stage(config, entry, network)
-    interruption = Interruption(last, config.checkpoint_every_steps, os.environ.get("SLURM_JOB_ID"))
+    interruption = Interruption(last, config.checkpoint_every_steps)
     callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
         **{**config.trainer, "strategy": strategy(config.trainer)},

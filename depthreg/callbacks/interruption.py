@@ -1,5 +1,6 @@
 """Saves within an epoch: every few steps, and when the run is asked to end."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -28,16 +29,15 @@ class Interruption(Checkpoint):  # callbacks of this kind come last, when all ot
     Args:
         path: The checkpoint.
         every_steps: Save every so many optimizer steps too; None for only once an epoch.
-        slurm_job: Id of the Slurm job that this process belongs to.
 
     Raises:
         ValueError: `every_steps` isn't positive.
     """
 
-    def __init__(self, path: Path, every_steps: int | None = None, slurm_job: str | None = None) -> None:
+    def __init__(self, path: Path, every_steps: int | None = None) -> None:
         if every_steps is not None and every_steps < 1:
             raise ValueError(f"checkpoint_every_steps must be at least 1, got {every_steps}")
-        self.path, self.every_steps, self.slurm_job = path, every_steps, slurm_job
+        self.path, self.every_steps = path, every_steps
         self.received: signal.Signals | None = None
         self.earlier: dict[signal.Signals, Any] = {signum: signal.getsignal(signum) for signum in SIGNALS}
 
@@ -76,8 +76,9 @@ class Interruption(Checkpoint):  # callbacks of this kind come last, when all ot
         received, self.received = self.received or signal.SIGTERM, None
         if trainer.is_global_zero:
             print(f"{received.name}: saved {self.path}", file=sys.stderr)
-        if trainer.is_global_zero and received == signal.SIGUSR1 and self.slurm_job:
-            subprocess.run(["scontrol", "requeue", self.slurm_job], check=False)
+        job = os.environ.get("SLURM_JOB_ID")
+        if trainer.is_global_zero and received == signal.SIGUSR1 and job:
+            subprocess.run(["scontrol", "requeue", job], check=False)
         handler: Callable[[int, FrameType | None], Any] | Any = self.earlier[received]
         if callable(handler):
             handler(received, None)  # submitit's: queues the job again, or goes on after a signal that it ignores
