@@ -23,6 +23,7 @@ chmod 600 "$scratch/munge.key"
 munged --force --socket="$scratch/munge.socket" --key-file="$scratch/munge.key" --pid-file="$scratch/munged.pid" \
     --log-file="$scratch/munged.log" --seed-file="$scratch/munge.seed"
 
+# nproc alone would obey OMP_NUM_THREADS.
 cat > "$scratch/slurm.conf" <<END
 ClusterName=scratch
 SlurmctldHost=$host(127.0.0.1)
@@ -46,7 +47,7 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
 SchedulerParameters=sched_interval=5
 ReturnToService=2
-NodeName=$host NodeAddr=127.0.0.1 CPUs=$(nproc) RealMemory=1000 State=UNKNOWN
+NodeName=$host NodeAddr=127.0.0.1 CPUs=$(nproc --all) RealMemory=1000 State=UNKNOWN
 PartitionName=scratch Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 END
 export SLURM_CONF=$scratch/slurm.conf
