@@ -1,5 +1,6 @@
 """A stage of the curriculum: one network, one step, one way to measure."""
 
+import time
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -41,6 +42,7 @@ class Stage(L.LightningModule):
     """
 
     difficulty: float = 0.0  # of training, in [0, 1]; set by the difficulty callback each epoch
+    batch_came_s: float = 0.0  # when the loader had the newest batch, by time.perf_counter
 
     def __init__(
         self,
@@ -71,6 +73,13 @@ class Stage(L.LightningModule):
         # Lightning's own means over an epoch are wrong where processes have unequally many frames.
         names = [_logged(name) for name in ("total", *loss.terms)]
         self.val_losses = MetricCollection({name: MeanMetric() for name in names}, compute_groups=False)
+
+    def on_before_batch_transfer(
+        self, batch: FrameBatch | Measurement, dataloader_idx: int
+    ) -> FrameBatch | Measurement:
+        """Note the time, for `Throughput`."""
+        self.batch_came_s = time.perf_counter()
+        return batch
 
     def on_after_batch_transfer(self, batch: FrameBatch | Measurement, dataloader_idx: int) -> Measurement:
         """Simulate sensors on the device; a batch that is measured already passes through."""

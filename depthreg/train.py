@@ -11,11 +11,11 @@ import lightning as L
 import torch
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
-from lightning.pytorch.callbacks import ModelCheckpoint, RichProgressBar
+from lightning.pytorch.callbacks import ModelCheckpoint
 from omegaconf import DictConfig
 from rich.console import Console
 
-from depthreg.callbacks import Interruption
+from depthreg.callbacks import Interruption, StageProgress, Throughput
 from depthreg.checkpoint import AtomicCheckpointIO, load_weights, steps_done
 from depthreg.config import build
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
@@ -55,7 +55,7 @@ def _quieten() -> None:
     expected = (
         *("exists and is not empty", "logging interval", "num_workers", "LeafSpec", "eval mode"),
         *("sync_dist", "dataloader is not resumable", "`broadcast_buffers` is deprecated"),
-        "overridden `on_after_batch_transfer`",  # on purpose: the simulator is there
+        "overridden `on_(before|after)_batch_transfer`",  # on purpose: the simulator is there
     )
     for message in expected:
         warnings.filterwarnings("ignore", f".*{message}.*")
@@ -127,13 +127,13 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
         partial.unlink()
     module, datamodule, schedules = build_stage(config, entry, network)
-    interruption = Interruption(last, config.checkpoint_every_steps)
+    interruption, throughput = Interruption(last, config.checkpoint_every_steps), Throughput()
     callbacks = [build(callback) for callback in config.callbacks.values() if callback]
     trainer = L.Trainer(
         **{**config.trainer, "strategy": strategy(config.trainer)},
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
-        callbacks=[*callbacks, *schedules, RichProgressBar(), _best(folder), interruption],
+        callbacks=[*callbacks, *schedules, throughput, StageProgress(throughput), _best(folder), interruption],
         logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
         plugins=[AtomicCheckpointIO()],
     )

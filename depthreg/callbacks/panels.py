@@ -14,6 +14,8 @@ from depthreg.viz import sample_panel
 class Panels(L.Callback):
     """Draws the first validation frames every few epochs and after the last, into `<stage>/panels/`.
 
+    Loggers that show pictures, by a method `log_image`, get them too.
+
     Args:
         every_epochs: Epochs between pictures.
         count: Frames drawn, one file each.
@@ -44,4 +46,8 @@ class Panels(L.Callback):
             rgb, depth_m, truth_m = (batch[key][i : i + 1] for key in ("rgb", "depth_m", "truth_depth_m"))
             with torch.inference_mode():
                 output = pl_module.network(rgb, depth_m)
-            write_png(folder / f"epoch_{epoch:03d}_frame_{i}.png", sample_panel(rgb, depth_m, output, truth_m))
+            path = folder / f"epoch_{epoch:03d}_frame_{i}.png"
+            write_png(path, sample_panel(rgb, depth_m, output, truth_m))
+            for logger in trainer.loggers:
+                if log_image := getattr(logger, "log_image", None):
+                    log_image(f"panels/frame_{i}", [str(path)], step=trainer.global_step - 1)  # as epochs' metrics

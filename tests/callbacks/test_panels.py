@@ -8,6 +8,7 @@ import cv2
 import lightning as L
 import pytest
 import torch
+from lightning.pytorch.loggers.logger import DummyLogger
 from torch.utils.data import DataLoader
 
 from depthreg.callbacks import FreezeSchedule, Panels
@@ -16,7 +17,9 @@ from depthreg.sensors import Clean, SensorSimulator
 from depthreg.stage import Stage
 
 
-def fit(folder: Path, epochs: int, network: Any, loader: DataLoader, *callbacks: L.Callback) -> None:
+def fit(
+    folder: Path, epochs: int, network: Any, loader: DataLoader, *callbacks: L.Callback, logger: Any = False
+) -> None:
     stage = Stage(
         name="full",
         network=network,
@@ -29,7 +32,7 @@ def fit(folder: Path, epochs: int, network: Any, loader: DataLoader, *callbacks:
         max_epochs=epochs,
         default_root_dir=folder,
         callbacks=[FreezeSchedule(), *callbacks],
-        logger=False,
+        logger=logger,
         enable_checkpointing=False,
         enable_progress_bar=False,
         enable_model_summary=False,
@@ -54,6 +57,23 @@ def test_no_more_frames_are_drawn_than_there_are(
 ) -> None:
     fit(tmp_path, 1, make_network(), make_loader(2), Panels(count=9))
     assert len(list((tmp_path / "panels").iterdir())) == 2
+
+
+def test_loggers_that_show_pictures_get_them(
+    tmp_path: Path, make_network: Callable[..., Any], make_loader: Callable[..., DataLoader]
+) -> None:
+    class Shower(DummyLogger):
+        def __init__(self) -> None:
+            super().__init__()
+            self.shown: list[tuple[str, list[str], int]] = []
+
+        def log_image(self, key: str, images: list[str], step: int) -> None:
+            self.shown.append((key, images, step))
+
+    shower = Shower()
+    fit(tmp_path, 2, make_network(), make_loader(4), Panels(every_epochs=1, count=1), logger=[shower, DummyLogger()])
+    paths = sorted(str(path) for path in (tmp_path / "panels").iterdir())
+    assert shower.shown == [("panels/frame_0", [path], step) for path, step in zip(paths, (1, 3), strict=True)]
 
 
 def test_drawing_does_not_disturb_training(
