@@ -29,6 +29,10 @@ class Throughput(L.Callback):
         """Of this epoch so far; 0 before its first step."""
         return self.frames / (self.waited_s + self.worked_s) if self.frames else 0.0
 
+    def on_train_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """A run that is resumed within an epoch isn't told of its start."""
+        self._clear()
+
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Begin anew."""
         self._clear()
