@@ -108,12 +108,15 @@ KILLED = {  # when, and what is called for the how-manieth time then
 }
 
 
-@pytest.mark.parametrize(("when", "every_steps"), zip(KILLED, itertools.cycle(["null", "1"])))
+@pytest.mark.parametrize(
+    ("when", "every_steps", "workers"),
+    [(when, *options) for when, options in zip(KILLED, itertools.cycle([("null", 1), ("1", 0), ("1", 1)]))],
+)
 def test_a_killed_run_ends_as_one_that_was_not(
-    when: str, every_steps: str, frames: str, uninterrupted: Path, here: Path
+    when: str, every_steps: str, workers: int, frames: str, uninterrupted: Path, here: Path
 ) -> None:
-    saving = f"checkpoint_every_steps={every_steps}"
-    assert in_a_process(*SMALL, frames, saving, patches=KILLED[when]) == -signal.SIGKILL
+    options = [f"checkpoint_every_steps={every_steps}", f"data.workers={workers}"]
+    assert in_a_process(*SMALL, frames, *options, patches=KILLED[when]) == -signal.SIGKILL
     assert in_a_process("resume=run") == 0
     assert_same(here / "run", uninterrupted)
 

@@ -121,8 +121,7 @@ class FramesDataModule(L.LightningDataModule):
         self.require_frames(ranks)
         epoch, batches = self.done
         shuffle = EpochShuffle(len(self.train_frames), self.seed, rank, ranks, (epoch, batches * self.batch_size))
-        if self.trainer:  # workers draw the order before Lightning names the epoch that a resumed run starts with
-            shuffle.set_epoch(self.trainer.fit_loop.epoch_progress.current.processed)  # type: ignore[attr-defined]
+        shuffle.set_epoch(epoch)  # workers draw the order before Lightning names the epoch
         return DataLoader(self.train_frames, sampler=shuffle, drop_last=True, **self.options)
 
     def val_dataloader(self) -> DataLoader:
@@ -132,10 +131,13 @@ class FramesDataModule(L.LightningDataModule):
         return DataLoader(ours, **self.options)
 
     def state_dict(self) -> dict[str, int]:
-        """How far training has come within the epoch."""
+        """The epoch that training is in, and how many batches of it are done; the next epoch where all are."""
         assert self.trainer is not None
+        epoch = self.trainer.current_epoch
         batches = self.trainer.fit_loop.epoch_loop.batch_progress.current.processed  # type: ignore[attr-defined]
-        return {"epoch": self.trainer.current_epoch, "batches": batches}
+        if batches < self.trainer.num_training_batches:
+            return {"epoch": epoch, "batches": batches}
+        return {"epoch": epoch + 1, "batches": 0}
 
     def load_state_dict(self, state_dict: dict[str, int]) -> None:
         """Go on after the batches that a checkpoint counts."""
