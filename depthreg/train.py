@@ -3,7 +3,7 @@
 import logging
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
@@ -92,7 +92,7 @@ def _run(config: DictConfig, out: Path) -> float:
     if is_first_process():
         _note_start(config, out)
     entries = walk(config)
-    with open_trackers(config, out, [entry.label for entry in entries]) as trackers:
+    with open_trackers(config, out, [entry.label for entry in entries], HydraConfig.get().runtime.choices) as trackers:
         for entry in entries:
             train_stage(config, entry, network, out / entry.label, trackers)
         if not is_first_process():
@@ -127,16 +127,7 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
         partial.unlink()
     module, datamodule, schedules = build_stage(config, entry, network)
-    interruption, throughput = Interruption(last, config.checkpoint_every_steps), Throughput()
-    callbacks = [build(callback) for callback in config.callbacks.values() if callback]
-    trainer = L.Trainer(
-        **{**config.trainer, "strategy": strategy(config.trainer)},
-        max_epochs=config.stages[entry.stage].epochs,
-        default_root_dir=folder,
-        callbacks=[*callbacks, *schedules, throughput, StageProgress(throughput), _best(folder), interruption],
-        logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
-        plugins=[AtomicCheckpointIO()],
-    )
+    trainer = make_trainer(config, entry, folder, schedules, trackers)
     try:
         trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
     except Exception as error:
@@ -146,6 +137,23 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     if is_first_process():
         trackers.log_checkpoints(entry.label, folder)
         finish_stage(folder, trainer.current_epoch, trainer.global_step)
+
+
+def make_trainer(
+    config: DictConfig, entry: Entry, folder: Path, schedules: Sequence[L.Callback], trackers: Trackers
+) -> L.Trainer:
+    """What fits a stage, and writes to `folder` and the trackers while it does."""
+    last, throughput = folder / "last.ckpt", Throughput()
+    callbacks = [build(callback) for callback in config.callbacks.values() if callback]
+    progress, interruption = StageProgress(throughput), Interruption(last, config.checkpoint_every_steps)
+    return L.Trainer(
+        **{**config.trainer, "strategy": strategy(config.trainer)},
+        max_epochs=config.stages[entry.stage].epochs,
+        default_root_dir=folder,
+        callbacks=[*callbacks, *schedules, throughput, progress, _best(folder), interruption],
+        logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
+        plugins=[AtomicCheckpointIO()],
+    )
 
 
 def _best(folder: Path) -> ModelCheckpoint:

@@ -1,11 +1,11 @@
 """All trackers of a run at once."""
 
 import importlib.util
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
-from hydra.core.hydra_config import HydraConfig
 from lightning.pytorch.loggers import Logger
 from omegaconf import DictConfig
 
@@ -70,18 +70,21 @@ class Trackers:
 
 
 @contextmanager
-def open_trackers(config: DictConfig, folder: Path, stages: Sequence[str]) -> Iterator[Trackers]:
+def open_trackers(
+    config: DictConfig, folder: Path, stages: Sequence[str], choices: Mapping[str, Any]
+) -> Iterator[Trackers]:
     """The trackers that `logger` names; an error within the context marks the run in them as failed.
 
     Args:
         config: Of the run.
         folder: Of the run, with its `run.yaml`.
         stages: Labels of the curriculum's steps.
+        choices: See `Run`.
     """
     with ExitStack() as stack:
         trackers = []
         if is_first_process():
-            run = Run(folder, read_record(folder), tuple(stages), HydraConfig.get().runtime.choices)
+            run = Run(folder, read_record(folder), tuple(stages), choices)
             nodes = _chosen(config).values()
             trackers = [stack.enter_context(build(node, _partial_=True)(run)) for node in nodes]
         yield Trackers(trackers)
