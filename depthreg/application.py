@@ -3,13 +3,17 @@
 import argparse
 import functools
 import importlib
+import os
+import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 from hydra._internal.utils import _run_hydra, get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
@@ -55,11 +59,25 @@ def run_application(name: str, argv: Sequence[str]) -> int:
     with open_hydra(name, arguments.config_dir) as hydra, refusing_overrides(hydra, config_name):
         task = functools.partial(run_job, name)
         if several:
-            return report(name, hydra.multirun(config_name, task, overrides))
+            return _sweep(name, lambda: hydra.multirun(config_name, task, overrides))
         job: JobReturn = hydra.run(config_name, task, overrides)
-    if isinstance(job.return_value, Failure):
-        raise InputError(job.return_value.reason)
+    if isinstance(job.return_value, Exception):
+        raise job.return_value
     return 0
+
+
+def _sweep(name: str, run: Callable[[], Sequence[Sequence[JobReturn]]]) -> int:
+    """Run a sweep and report on it; a job that fails is a result, so that an error here is its launcher's."""
+    try:
+        batches = run()
+    except (InputError, HydraException, OmegaConfBaseException):
+        raise
+    except Exception as error:
+        if os.environ.get("HYDRA_FULL_ERROR") == "1":
+            raise
+        print(f"depthreg {name}: the sweep broke off: {Failure.of(error).reason}", file=sys.stderr)
+        return 1
+    return report(name, batches)
 
 
 def _refuse_flags(name: str, complaint: str) -> NoReturn:
@@ -90,18 +108,18 @@ def _check(name: str, configs: Sequence[DictConfig]) -> None:
 
 
 def run_job(name: str, config: DictConfig) -> Any:
-    """Run one job, perhaps in another process or on another machine; what fails of a sweep says so by its result.
+    """Run one job, perhaps in another process or on another machine.
 
     Returns:
-        What the command's `run` returns, or a `Failure`.
+        What the command's `run` returns; where it failed, its error, and in a sweep a `Failure`.
     """
+    hydra = HydraConfig.get()
     try:
         return importlib.import_module(f"depthreg.{name}").run(config)
-    except InputError as error:
-        failure = Failure(str(error), bad_input=True)
     except Exception as error:
-        if HydraConfig.get().mode != RunMode.MULTIRUN:
-            raise
-        failure = Failure(one_line(error) or type(error).__name__, bad_input=False)
-        traceback.print_exc()
-    return failure
+        if hydra.mode == RunMode.RUN:
+            return error  # raised, Hydra would print about it
+        failure = Failure.of(error)
+        if failure.kind == "error":
+            (Path(hydra.runtime.output_dir) / "error.txt").write_text(traceback.format_exc(), encoding="utf-8")
+        return failure

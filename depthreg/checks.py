@@ -103,6 +103,7 @@ RANGES: dict[str, Rule] = {
     "*.difficulty.start": _within(0, 1),
     "*.difficulty.end": _within(0, 1),
     "max_corner_shift_px": _within(0, 200),
+    "trainer.accumulate_grad_batches": _whole(1),
     "learning_rate": _POSITIVE,
     "depth_scale": _POSITIVE,
     "focal_px": _POSITIVE,
@@ -132,7 +133,7 @@ def _numbers(node: Any, key: str = "") -> Iterator[tuple[str, float]]:
     """Every number below a node with its key; those of a list have the list's."""
     if isinstance(node, dict):
         for name, value in node.items():
-            if key or name not in _OTHERS:
+            if key or name not in ("callbacks", "logger"):
                 yield from _numbers(value, f"{key}.{name}" if key else str(name))
     elif isinstance(node, list):
         for value in node:

@@ -1,10 +1,9 @@
 """Sweeps: which jobs are tried before they start, and what is said of those that failed."""
 
-import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from hydra._internal.hydra import Hydra
 from hydra.core.object_type import ObjectType
@@ -13,24 +12,32 @@ from hydra.core.utils import JobReturn
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from depthreg.config import is_group, parse_overrides
-from depthreg.errors import InputError
+from depthreg.config import is_group, one_line, parse_overrides
+from depthreg.errors import InputError, RunError
+
+
+class Pruned(Exception):
+    """A sweeper has seen enough of this job."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a job failed, in the place of its result, so that the other jobs of a sweep go on.
+    """Why a job gave no result, in the place of its result, so that the other jobs of a sweep go on.
 
     Attributes:
+        kind: `input` where an `InputError` said so, `pruned` where the sweeper stopped it, `error` for all else.
         reason: One sentence.
-        bad_input: Whether an `InputError` said it.
     """
 
+    kind: Literal["input", "pruned", "error"]
     reason: str
-    bad_input: bool
 
-    def __float__(self) -> float:
-        return math.nan  # a sweeper's objective
+    @classmethod
+    def of(cls, error: Exception) -> "Failure":
+        """What an error makes of its job."""
+        if isinstance(error, InputError | Pruned):
+            return cls("input" if isinstance(error, InputError) else "pruned", str(error))
+        return cls("error", str(error) if isinstance(error, RunError) else f"{type(error).__name__}: {one_line(error)}")
 
 
 def expand_globs(hydra: Hydra, overrides: Sequence[str]) -> list[str]:
@@ -90,7 +97,7 @@ def _values(override: Override) -> list[str]:
 
 
 def report(name: str, batches: Sequence[Sequence[JobReturn]]) -> int:
-    """Say which jobs of a sweep failed, and why.
+    """Say what the jobs of a sweep gave, and which of them failed.
 
     Args:
         name: The command.
@@ -99,17 +106,26 @@ def report(name: str, batches: Sequence[Sequence[JobReturn]]) -> int:
     Returns:
         The exit status: 0, 1, or 2 where bad input alone is to blame.
     """
-    jobs = [job for batch in batches for job in batch]
-    failed = {i: job.return_value for i, job in enumerate(jobs) if isinstance(job.return_value, Failure)}
+    jobs = {int(job.hydra_cfg.hydra.job.num): job for batch in batches for job in batch if job.hydra_cfg}
+    words = _of_their_own(jobs)
+    failed = {number: job.return_value for number, job in jobs.items() if isinstance(job.return_value, Failure)}
+    for number, job in jobs.items():
+        if isinstance(job.return_value, float):
+            print(f"job {number}  RMSE {job.return_value:.4g} m  {words[number]}")
+    for number, failure in failed.items():
+        if failure.kind == "pruned":
+            print(f"job {number}  {failure.reason}  {words[number]}")
+    failed = {number: failure for number, failure in failed.items() if failure.kind != "pruned"}
     if not failed:
         return 0
     print(f"depthreg {name}: {len(failed)} of {len(jobs)} jobs failed:", file=sys.stderr)
-    for i, failure in failed.items():
-        print(f"  job {i} ({' '.join(_of_its_own(jobs, i))}): {failure.reason}", file=sys.stderr)
-    return 2 if all(failure.bad_input for failure in failed.values()) else 1
+    for number, failure in failed.items():
+        print(f"  job {number} ({words[number]}): {failure.reason}", file=sys.stderr)
+    return 2 if all(failure.kind == "input" for failure in failed.values()) else 1
 
 
-def _of_its_own(jobs: Sequence[JobReturn], number: int) -> list[str]:
-    """The overrides of a job that not all jobs share."""
-    shared = set.intersection(*(set(job.overrides or ()) for job in jobs)) if len(jobs) > 1 else set()
-    return [override for override in jobs[number].overrides or () if override not in shared]
+def _of_their_own(jobs: Mapping[int, JobReturn]) -> dict[int, str]:
+    """The overrides of each job that not all jobs share."""
+    overrides = {number: job.overrides or () for number, job in jobs.items()}
+    shared = set.intersection(*map(set, overrides.values())) if len(jobs) > 1 else set()
+    return {number: " ".join(item for item in items if item not in shared) for number, items in overrides.items()}

@@ -6,18 +6,21 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 import lightning as L
 import torch
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from lightning.pytorch.callbacks import ModelCheckpoint
-from omegaconf import DictConfig
+from lightning.pytorch.utilities.exceptions import MisconfigurationException
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from depthreg.callbacks import Interruption, StageProgress, Throughput
 from depthreg.checkpoint import AtomicCheckpointIO, load_weights, steps_done
-from depthreg.config import build
+from depthreg.config import build, one_line
 from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.devices import check_devices, device_count, is_first_process, strategy
@@ -41,6 +44,7 @@ def check(config: DictConfig) -> None:
         raise InputError(f"data={config.data.name}: depthreg learns from synthetic scenes alone, expected {choices}")
     check_devices(config)
     check_trackers(config)
+    _check_trainer(config)
     network = build(config.model)
     for entry in walk(config):
         build_stage(config, entry, network).data.require_frames(device_count(config.trainer) or 1)
@@ -48,11 +52,21 @@ def check(config: DictConfig) -> None:
         load_weights(network, Path(config.init_from))
 
 
+def _check_trainer(config: DictConfig) -> None:
+    _quieten()
+    try:
+        L.Trainer(**_trainer_options(config), logger=False, enable_checkpointing=False)
+    except (MisconfigurationException, ValueError, TypeError, RuntimeError) as error:  # in Lightning's own words
+        raise InputError(f"trainer: {one_line(error)}") from error
+    _build_callbacks(config)
+
+
 def _quieten() -> None:
     """Silence what Lightning and wandb say about a run that is as it should be."""
     for package in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(package).setLevel(logging.WARNING)
     expected = (
+        "`srun` command is available",
         *("exists and is not empty", "logging interval", "num_workers", "LeafSpec", "eval mode"),
         *("sync_dist", "dataloader is not resumable", "`broadcast_buffers` is deprecated"),
         "overridden `on_(before|after)_batch_transfer`",  # on purpose: the simulator is there
@@ -127,6 +141,7 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
     for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
         partial.unlink()
     module, datamodule, schedules = build_stage(config, entry, network)
+    schedules = [*schedules, *_pruning(config, entry)]
     trainer = make_trainer(config, entry, folder, schedules, trackers)
     try:
         trainer.fit(module, datamodule, ckpt_path=last if last.exists() else None, weights_only=True)
@@ -144,16 +159,35 @@ def make_trainer(
 ) -> L.Trainer:
     """What fits a stage, and writes to `folder` and the trackers while it does."""
     last, throughput = folder / "last.ckpt", Throughput()
-    callbacks = [build(callback) for callback in config.callbacks.values() if callback]
+    callbacks = _build_callbacks(config)
     progress, interruption = StageProgress(throughput), Interruption(last, config.checkpoint_every_steps)
     return L.Trainer(
-        **{**config.trainer, "strategy": strategy(config.trainer)},
+        **_trainer_options(config),
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
         callbacks=[*callbacks, *schedules, throughput, progress, _best(folder), interruption],
         logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
         plugins=[AtomicCheckpointIO()],
     )
+
+
+def _build_callbacks(config: DictConfig) -> list[L.Callback]:
+    return [build(callback) for callback in (config.callbacks or {}).values() if callback]
+
+
+def _trainer_options(config: DictConfig) -> dict[str, Any]:
+    options: Any = OmegaConf.to_container(config.trainer, resolve=True)
+    return options | {"strategy": strategy(config.trainer)}
+
+
+def _pruning(config: DictConfig, entry: Entry) -> list[L.Callback]:
+    """What lets Optuna's sweeper stop a job in its last stage, the one by which jobs are compared."""
+    hydra = HydraConfig.get()
+    if hydra.mode != RunMode.MULTIRUN or "pruner" not in hydra.sweeper or entry != walk(config)[-1]:
+        return []
+    from depthreg.study import Pruning, current_trial  # Optuna is an extra
+
+    return [Pruning(current_trial())]
 
 
 def _best(folder: Path) -> ModelCheckpoint:
