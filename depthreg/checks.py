@@ -56,6 +56,8 @@ def shown(value: Any) -> str:
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
         return "{" + ", ".join(key for key in value if not key.startswith("_")) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(shown, value)) + "]"
     return str(value)
 
 

@@ -1,6 +1,7 @@
 """Hydra configuration: where it lies, what it composes to, and how a bad override is refused."""
 
 import difflib
+import functools
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,8 +13,9 @@ from hydra._internal.hydra import Hydra
 from hydra._internal.utils import create_config_search_path
 from hydra.core.config_search_path import SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, Sweep
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, InstantiationException, OverrideParseException
 from hydra.types import RunMode
 from hydra.utils import instantiate
@@ -104,15 +106,24 @@ def parse_overrides(hydra: Hydra, overrides: Sequence[str]) -> list[Override]:
             reason = "" if "missing EQUAL" in str(error) else f" ({one_line(error)})"
             raise InputError(f"{override} can't be read{reason}: expected key=value, or quotes around it") from error
     for item in parsed:
-        if is_group(hydra, item) and not (item.is_delete() or isinstance(item.value(), str | list | Sweep)):
-            choices = ", ".join(hydra.config_loader.get_group_options(item.key_or_group))
+        single = not (item.is_delete() or item.is_sweep_override() or isinstance(item.value(), str | list))
+        if single and is_group(hydra, item):
+            choices = ", ".join(choices_of(hydra, item.key_or_group))
             raise InputError(f"{item.input_line}: expected one of {choices}, or ~{item.get_key_element()} for none")
     return parsed
 
 
 def is_group(hydra: Hydra, override: Override) -> bool:
     """Whether an override chooses a file of a group, instead of setting a key."""
-    return bool(hydra.config_loader.get_group_options(override.key_or_group))
+    return any(choices_of(hydra, override.key_or_group))
+
+
+def choices_of(hydra: Hydra, group: str, folder: str = "") -> Iterator[str]:
+    """The choices of a group, also those in folders of it."""
+    options = functools.partial(hydra.config_loader.get_group_options, f"{group}/{folder}")
+    yield from (f"{folder}{name}" for name in sorted(options(ObjectType.CONFIG)))
+    for name in sorted(options(ObjectType.GROUP)):
+        yield from choices_of(hydra, group, f"{folder}{name}/")
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from depthreg.checks import shown
-from depthreg.config import CONF_DIR, open_hydra
+from depthreg.config import CONF_DIR, choices_of, open_hydra
 
 _WIDTH = 110
 _KEYS_OF = ("data", "trainer")  # groups whose single values are listed too
@@ -26,7 +26,7 @@ def help_text(name: str) -> str:
     what, examples = _head(name)
     with open_hydra(name) as hydra:
         config = hydra.compose_config(name, [], RunMode.RUN, from_shell=False)
-        choices = {group: sorted(hydra.config_loader.get_group_options(group)) for group in _groups(config)}
+        choices = {group: list(choices_of(hydra, group)) for group in _groups(config)}
     return "\n\n".join(
         [
             f"usage: depthreg {name} [GROUP=CHOICE] [KEY=VALUE] ...",

@@ -1,18 +1,17 @@
 """Sweeps: which jobs are tried before they start, and what is said of those that failed."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from hydra._internal.hydra import Hydra
-from hydra.core.object_type import ObjectType
 from hydra.core.override_parser.types import Glob, IntervalSweep, Override
 from hydra.core.utils import JobReturn
 from hydra.types import RunMode
 from omegaconf import DictConfig
 
-from depthreg.config import is_group, one_line, parse_overrides
+from depthreg.config import choices_of, is_group, one_line, parse_overrides
 from depthreg.errors import InputError, RunError
 
 
@@ -53,17 +52,10 @@ def _expanded(hydra: Hydra, override: Override) -> str:
     glob = override._value
     if not (isinstance(glob, Glob) and is_group(hydra, override)):
         return str(override.input_line)
-    choices = list(_choices(hydra, override.key_or_group))
+    choices = list(choices_of(hydra, override.key_or_group))
     if not (chosen := glob.filter(choices)):
         raise InputError(f"{override.input_line} fits no choice: expected some of {', '.join(choices)}")
     return f"{override.get_key_element()}={','.join(chosen)}"
-
-
-def _choices(hydra: Hydra, group: str, folder: str = "") -> Iterator[str]:
-    loader = hydra.config_loader
-    yield from (f"{folder}{name}" for name in sorted(loader.get_group_options(f"{group}/{folder}", ObjectType.CONFIG)))
-    for name in sorted(loader.get_group_options(f"{group}/{folder}", ObjectType.GROUP)):
-        yield from _choices(hydra, group, f"{folder}{name}/")
 
 
 def samples_of(hydra: Hydra, overrides: Sequence[str], settings: DictConfig) -> list[list[str]]:

@@ -115,7 +115,7 @@ def test_a_bad_override_is_one_sentence_that_names_it(override: str, said: list[
         ("epochs={joint:many}", "a whole number"),
         ("data.cache_dir=[a]", "text"),
         ("model.residual=1", "true or false"),
-        ("data.camera.focal_px=300", "a list, such as [186.0, 500.0]"),
+        ("data.camera.focal_px=300", "a list, such as [186.0,500.0]"),
         ("data.camera.focal_px=[300,x]", "a number"),
         ("stages.full.world=null", "keys, such as {worlds, shares}"),
         ("stages.full.difficulty=0.5", "keys"),

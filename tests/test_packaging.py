@@ -72,8 +72,13 @@ def test_the_wheel_holds_every_configuration_file_the_comparisons_page_and_its_t
     expected = {f"depthreg/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "conf").rglob("*.yaml")}
     assert {name for name in names if name.endswith(".yaml")} == expected
     page = {f"depthreg/comparison/page.{suffix}" for suffix in ("html", "css", "js")}
-    assert {"depthreg/py.typed", *page} <= names
-    assert {name.split("/")[0] for name in names} == {"depthreg", f"depthreg-{depthreg.__version__}.dist-info"}
+    assert {"depthreg/py.typed", "hydra_plugins/depthreg_optuna.py", *page} <= names
+    assert {name.split("/")[0] for name in names} == {
+        "depthreg",
+        "hydra_plugins",  # a namespace that Hydra's plugins share: no file of ours makes a package of it
+        f"depthreg-{depthreg.__version__}.dist-info",
+    }
+    assert "hydra_plugins/__init__.py" not in names
 
 
 @pytest.mark.parametrize("way", ["wheel", "editable install"])

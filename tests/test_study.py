@@ -29,7 +29,8 @@ from depthreg.study import Pruning, open_study, save_best, search, split_overrid
     [
         ("x=1,2,a", CategoricalDistribution(["1", "2", "a"])),
         ("x=range(0,6,2)", CategoricalDistribution(["0", "2", "4"])),
-        ("x=interval(1,5)", IntDistribution(1, 5)),
+        ("x=int(interval(1,5))", IntDistribution(1, 5)),
+        ("x=interval(1,5)", FloatDistribution(1, 5)),
         ("x=interval(0.5,1)", FloatDistribution(0.5, 1)),
         ("x=tag(log,interval(1e-4,1e-2))", FloatDistribution(1e-4, 1e-2, log=True)),
     ],
