@@ -17,6 +17,7 @@ ALIGNED = "depth, aligned"  # completion, given colour that lines up with it
 MISALIGNED = "depth, misaligned"
 REGISTRATION = "registration"
 
+SCORES = "metrics.csv"  # in a run's folder; written last, so where it is, the run has ended
 LOWER, HIGHER, NEITHER = -1, 1, 0  # which way is better
 METRICS = {
     "rmse_m": ("RMSE (m)", LOWER),
@@ -104,7 +105,7 @@ def read_report(folder: Path) -> Results:
     Raises:
         InputError: Unreadable, or another table.
     """
-    path = folder / "metrics.csv"
+    path = folder / SCORES
     results: dict[str, dict[str, dict[str, float]]] = {}
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -125,10 +126,10 @@ def read_report(folder: Path) -> Results:
 
 def write_report(results: Results, folder: Path) -> None:
     """Write `metrics.csv` (full precision, empty where unknown) and `metrics.md` into an existing folder."""
-    with io.atomic_write(folder / "metrics.csv") as path, path.open("w", newline="") as file:
+    with io.atomic_write(folder / "metrics.md") as path:
+        path.write_text(markdown(results), encoding="utf-8")
+    with io.atomic_write(folder / SCORES) as path, path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["task", "metric", *method_names(results)])
         for task, metric, values in table_rows(results):
             writer.writerow([task, metric, *("" if math.isnan(value) else repr(value) for value in values)])
-    with io.atomic_write(folder / "metrics.md") as path:
-        path.write_text(markdown(results), encoding="utf-8")

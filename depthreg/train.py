@@ -27,9 +27,9 @@ from depthreg.devices import check_devices, device_count, is_first_process, stra
 from depthreg.errors import InputError, RunError
 from depthreg.evaluate import MISALIGNED, OURS, evaluate
 from depthreg.networks import JointNetwork
-from depthreg.report import Results, rich_table, write_report
+from depthreg.report import SCORES, Results, read_report, rich_table, write_report
 from depthreg.resume import was_requeued
-from depthreg.run_folder import RECORD, finish_stage, is_finished, start_record, write_record
+from depthreg.run_folder import RECORD, finish_stage, is_finished, read_record, start_record, write_record
 from depthreg.trackers import Trackers, check_trackers, open_trackers
 
 
@@ -105,6 +105,9 @@ def _run(config: DictConfig, out: Path) -> float:
         console.print(f"init_from {load_weights(network, Path(config.init_from))}", soft_wrap=True)
     if is_first_process():
         _note_start(config, out)
+    if HydraConfig.get().mode == RunMode.MULTIRUN and (out / SCORES).exists():  # of a sweep that is started again
+        console.print(f"run      {out} has ended already", soft_wrap=True)
+        return read_report(out)[MISALIGNED][OURS]["rmse_m"]
     entries = walk(config)
     with open_trackers(config, out, [entry.label for entry in entries], HydraConfig.get().runtime.choices) as trackers:
         for entry in entries:
@@ -125,9 +128,12 @@ def _note_start(config: DictConfig, out: Path) -> None:
     Raises:
         InputError: The folder holds a run that nobody asked to resume.
     """
+    overrides = list(HydraConfig.get().overrides.task)
     if not (out / RECORD).exists():
-        write_record(out, start_record(config, HydraConfig.get().overrides.task))
-    elif not (config.resume or was_requeued()):
+        write_record(out, start_record(config, overrides))
+        return
+    same_job = HydraConfig.get().mode == RunMode.MULTIRUN and read_record(out)["overrides"] == overrides
+    if not (config.resume or was_requeued() or same_job):
         raise InputError(f"{out} holds a run: expected resume={out}, or another folder")
 
 
@@ -139,7 +145,7 @@ def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder:
         load_weights(network, last)
         return
     for partial in folder.glob(".*.ckpt"):  # a process was killed while it wrote them
-        partial.unlink()
+        partial.unlink(missing_ok=True)
     module, datamodule, schedules = build_stage(config, entry, network)
     schedules = [*schedules, *_pruning(config, entry)]
     trainer = make_trainer(config, entry, folder, schedules, trackers)

@@ -130,6 +130,21 @@ def test_a_run_may_be_killed_again_and_again(frames: str, uninterrupted: Path, h
     assert_same(here / "run", uninterrupted)
 
 
+def test_a_killed_sweep_that_is_started_again_trains_what_is_left(
+    frames: str, uninterrupted: Path, here: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    sweep = ["-m", *(item for item in SMALL if not item.startswith("hydra")), frames, "hydra.sweep.dir=sweep"]
+    killed = [(Stage, "training_step", 5 * STEPS)]  # in the second job
+    assert in_a_process(*sweep, "seed=1,0", patches=killed) == -signal.SIGKILL
+    first = here / "sweep" / "0" / "full" / "last.ckpt"
+    before = first.stat().st_mtime_ns
+    assert in_a_process(*sweep, "seed=1,0") == 0
+    assert first.stat().st_mtime_ns == before and "0 has ended already" in capfd.readouterr().out
+    assert_same(here / "sweep" / "1", uninterrupted)
+    assert in_a_process(*sweep, "seed=2,0") == 2  # another sweep in the same folder: the first job isn't this one's
+    assert "job 0 (seed=2)" in (said := capfd.readouterr().err) and "holds a run" in said
+
+
 @pytest.mark.parametrize("step", [2, STEPS, 2 * STEPS + 1])
 def test_sigterm_saves_first(step: int, frames: str, uninterrupted: Path, here: Path) -> None:
     def terminate() -> None:
