@@ -91,7 +91,7 @@ def test_csv_is_there_whatever_else_is_chosen(choice: str, train: Train) -> None
         assert run.name.endswith(yaml.safe_load((folder / "run.yaml").read_text())["id"])
 
 
-@pytest.mark.parametrize("name", ["wandb"])
+@pytest.mark.parametrize("name", ["wandb", "mlflow", "tensorboard"])
 def test_a_tracker_that_is_not_installed_is_refused(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
