@@ -75,7 +75,8 @@ def _sweep(name: str, run: Callable[[], Sequence[Sequence[JobReturn]]]) -> int:
     except Exception as error:
         if os.environ.get("HYDRA_FULL_ERROR") == "1":
             raise
-        print(f"depthreg {name}: the sweep broke off: {Failure.of(error).reason}", file=sys.stderr)
+        reason = f"{type(error).__name__}: {one_line(error)[:200]}"
+        print(f"depthreg {name}: the sweep broke off, perhaps as a job was killed ({reason})", file=sys.stderr)
         return 1
     return report(name, batches)
 

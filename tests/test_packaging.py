@@ -14,9 +14,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hydra.types import RunMode
+from omegaconf import OmegaConf
 
 import depthreg
-from depthreg.config import compose_config
+from depthreg.config import compose_config, open_hydra
+from depthreg.sweeps import expand_globs, samples_of
 
 ROOT = Path(__file__).resolve().parents[1]
 WAYS = ["wheel", "editable install", "checkout"]
@@ -123,5 +126,10 @@ def test_every_command_of_the_readme_composes() -> None:
     commands = re.findall(r"^ {4}depthreg (train|evaluate|render|gallery)\b *(.*?)(?: *#.*)?$", text, re.MULTILINE)
     assert {name for name, _ in commands} == {"train", "evaluate", "render", "gallery"}
     for name, overrides in commands:
-        words = [re.sub(r"^(shard=0),.*", r"\1", word) for word in shlex.split(overrides) if word != "-m"]
-        compose_config(name, [word for word in words if not word.startswith("hydra/")])  # raises for unknown keys
+        words = [word for word in shlex.split(overrides) if word != "-m" and not word.startswith("hydra")]
+        with open_hydra(name) as hydra:
+            mode = RunMode.MULTIRUN if "-m" in overrides.split() else RunMode.RUN
+            settings = OmegaConf.create({"mode": mode, "sweeper": {}})
+            samples = samples_of(hydra, expand_globs(hydra, words), settings)
+        for sample in samples:
+            compose_config(name, sample)  # raises for unknown keys
