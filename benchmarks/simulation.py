@@ -24,11 +24,12 @@ from rich.progress import track
 from rich.table import Table
 
 from depthreg.config import CONF_DIR, build, compose_config
-from depthreg.curriculum import Entry, build_stage
+from depthreg.curriculum import build_stage
 from depthreg.data.sample import FrameBatch
 from depthreg.data.synthetic import collate_frames
 from depthreg.sensors.simulator import augment, frame_generators, seeded_generator, simulate_each
 from depthreg.stage import Stage
+from depthreg.walk import Entry
 
 # Overrides of `depthreg train` that say how large it is.
 PRESETS = {"quick": ["preset=quick"], "paper": ["preset=paper", "model=paper", "data.batch_size=1"]}

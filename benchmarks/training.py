@@ -30,13 +30,14 @@ from rich.console import Console
 from torch.utils.data import DataLoader
 
 from depthreg.config import build, compose_config
-from depthreg.curriculum import StageParts, build_stage, walk
+from depthreg.curriculum import StageParts, build_stage
 from depthreg.data.sample import FrameBatch
 from depthreg.run_folder import start_record, write_record
 from depthreg.sensors.simulator import augment, frame_generators, simulate_each
 from depthreg.stage import Stage
 from depthreg.trackers import open_trackers
 from depthreg.train import make_trainer
+from depthreg.walk import walk
 
 _WARM_UP = 3  # steps that don't count
 

@@ -2,7 +2,7 @@
 
 import argparse
 import functools
-import importlib
+import importlib.util
 import os
 import sys
 import traceback
@@ -48,6 +48,8 @@ def run_application(name: str, argv: Sequence[str]) -> int:
         overrides.append(f"hydra.mode={'MULTIRUN' if several else 'RUN'}")
         settings = hydra.compose_config(config_name, overrides, RunMode.MULTIRUN, validate_sweep_overrides=False).hydra
         samples = samples_of(hydra, overrides, settings)
+        if several and "pruner" in settings.sweeper and not importlib.util.find_spec("optuna"):
+            raise InputError("hydra/sweeper=optuna needs Optuna: expected pip install 'depthreg[sweeps]' before it")
     configs = [compose_config(config_name, sample, arguments.config_dir) for sample in samples]
     if _only_shows(arguments):
         return _show(name, arguments, parser)

@@ -7,6 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from depthreg.errors import InputError
+from depthreg.walk import walk
 
 _OTHERS = ("trainer", "callbacks", "logger")  # arguments of other libraries, which have rules of their own
 _OPTIONAL = ("offset", "color", "weather", "freeze", "patience")  # may be null whatever they are by default
@@ -114,15 +115,27 @@ RANGES: dict[str, Rule] = {
     "weight_decay": _NOT_NEGATIVE,
 }
 
+CHOICES: dict[str, tuple[object, ...]] = {
+    "stages.*.difficulty.shape": ("linear", "cosine", "steps"),
+    "trainer.accelerator": ("auto", "cpu", "gpu", "cuda", "mps", "tpu"),
+    "trainer.strategy": ("auto", "ddp", "ddp_find_unused_parameters_true"),
+    "trainer.precision": ("32-true", "16-mixed", "bf16-mixed", "16-true", "bf16-true", "64-true", 32, 64, 16, "bf16"),
+}
+
 
 def check_ranges(config: DictConfig) -> None:
-    """Check every number whose key `RANGES` knows.
+    """Check every number whose key `RANGES` knows, and every word whose key `CHOICES` knows.
 
     Raises:
         InputError: Naming the first key that is out of range, and its range.
     """
-    numbers = _numbers(OmegaConf.to_container(config, resolve=True))
-    for key, value in sorted(numbers, key=lambda item: item[0].count(".")):  # what others refer to comes first
+    leaves = _leaves(OmegaConf.to_container(config, resolve=True))
+    for key, value in sorted(leaves, key=lambda item: item[0].count(".")):  # what others refer to comes first
+        for choices in (choices for pattern, choices in CHOICES.items() if fnmatchcase(key, pattern)):
+            if value not in choices:
+                raise InputError(f"{key}={value}: expected one of {', '.join(map(str, choices))}")
+        if not isinstance(value, int | float) or isinstance(value, bool):
+            continue
         last = key.rpartition(".")[2]
         for pattern, (fits, expected) in RANGES.items():
             if fnmatchcase(key if "." in pattern else last, pattern):
@@ -131,16 +144,16 @@ def check_ranges(config: DictConfig) -> None:
                 break
 
 
-def _numbers(node: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Every number below a node with its key; those of a list have the list's."""
+def _leaves(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value below a node with its key; those of a list have the list's."""
     if isinstance(node, dict):
         for name, value in node.items():
             if key or name not in ("callbacks", "logger"):
-                yield from _numbers(value, f"{key}.{name}" if key else str(name))
+                yield from _leaves(value, f"{key}.{name}" if key else str(name))
     elif isinstance(node, list):
         for value in node:
-            yield from _numbers(value, key)
-    elif isinstance(node, int | float) and not isinstance(node, bool):
+            yield from _leaves(value, key)
+    elif node is not None:
         yield key, node
 
 
@@ -152,6 +165,8 @@ def check_together(config: DictConfig) -> None:
     """
     if missing := sorted(OmegaConf.missing_keys(config)):
         raise InputError(f"{missing[0]} is missing: expected {missing[0]}=... on the command line")
+    if "curriculum" in config:
+        walk(config)
     if "shard" in config and config.shard >= config.shards:
         raise InputError(f"shard={config.shard} of shards={config.shards}: expected at most {config.shards - 1}")
     train_count, batch_size = (OmegaConf.select(config, f"data.{key}") for key in ("train_count", "batch_size"))

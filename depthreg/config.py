@@ -149,7 +149,8 @@ def _explain(hydra: Hydra, error: Exception, name: str) -> str:
     if missing := re.search(
         r"Could not find '(.+)/([^/']+)'.*Available options in '[^']+':(.*?)(Config search path|$)", text
     ):
-        return f"unknown choice '{missing[1]}={missing[2]}': expected one of {', '.join(missing[3].split())}"
+        plugins = "; pip install 'depthreg[sweeps,cluster]' adds more" if missing[1] == "hydra/launcher" else ""
+        return f"unknown choice '{missing[1]}={missing[2]}': expected one of {', '.join(missing[3].split())}{plugins}"
     if ambiguous := re.search(r"Ambiguous value for argument '([^']+)'", text):
         return f"{ambiguous[1]}: expected one value, a list in brackets, or -m before it to run one job for each value"
     return text

@@ -1,6 +1,5 @@
 """The curriculum: which stages follow each other, and what each one is made of."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -16,13 +15,7 @@ from depthreg.errors import InputError
 from depthreg.networks import JointNetwork
 from depthreg.sensors import SensorSimulator
 from depthreg.stage import Stage
-
-
-class Entry(NamedTuple):
-    """One step of the curriculum."""
-
-    label: str  # its folder, its seed and its name in the log: `joint`, and `joint_2` when it comes again
-    stage: str  # key in `stages`
+from depthreg.walk import Entry
 
 
 class StageParts(NamedTuple):
@@ -31,24 +24,6 @@ class StageParts(NamedTuple):
     module: Stage
     data: FramesDataModule
     callbacks: list[L.Callback]  # that say what happens in an epoch
-
-
-def walk(config: DictConfig) -> list[Entry]:
-    """The curriculum's steps in their order.
-
-    Raises:
-        InputError: There is none, or one isn't among `stages`.
-    """
-    names = list(config.curriculum) if OmegaConf.is_list(config.curriculum) else [config.curriculum]
-    unknown = [name for name in names if name not in config.stages]
-    if unknown or not names:
-        raise InputError(f"curriculum={list(names)}: expected some of {', '.join(config.stages)}, as [joint,full]")
-    seen = Counter[str]()
-    entries = []
-    for name in names:
-        seen[name] += 1
-        entries.append(Entry(name if seen[name] == 1 else f"{name}_{seen[name]}", name))
-    return entries
 
 
 def build_stage(config: DictConfig, entry: Entry, network: JointNetwork) -> StageParts:

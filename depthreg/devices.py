@@ -16,8 +16,6 @@ from torch.optim import Optimizer
 
 from depthreg.errors import InputError
 
-STRATEGIES = ("auto", "ddp", "ddp_find_unused_parameters_true")
-
 
 class DataParallel(DDPStrategy):
     """Lightning's DDP, with networks that are the same to the bit in every process after every step.
@@ -96,8 +94,6 @@ def check_devices(config: DictConfig) -> None:
         InputError: In one sentence.
     """
     trainer, outside, count = config.trainer, outside_processes(), device_count(config.trainer)
-    if trainer.strategy not in STRATEGIES:
-        raise InputError(f"trainer.strategy={trainer.strategy}: expected one of {', '.join(STRATEGIES)}")
     if outside > 1 and count not in (None, outside):
         raise InputError(
             f"{outside} processes were started for trainer.devices={trainer.devices} on each of "

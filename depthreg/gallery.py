@@ -13,7 +13,7 @@ from torch import Tensor
 
 from depthreg import train
 from depthreg.config import build
-from depthreg.curriculum import build_stage, walk
+from depthreg.curriculum import build_stage
 from depthreg.data import io
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.data.synthetic import collate_frames
@@ -22,6 +22,7 @@ from depthreg.geometry import corner_errors_px, identity_affine
 from depthreg.sensors import SensorSimulator
 from depthreg.sensors.simulator import frame_generators, simulate_each
 from depthreg.viz import depth_limits_m, depth_tile, edges_overlay, enlarge, grid, panel, to_picture
+from depthreg.walk import walk
 
 _CELL_WIDTH_PX = 480  # of each picture, larger ones are shrunk
 

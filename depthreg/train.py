@@ -21,7 +21,7 @@ from rich.console import Console
 from depthreg.callbacks import Interruption, StageProgress, Throughput
 from depthreg.checkpoint import AtomicCheckpointIO, load_weights, steps_done
 from depthreg.config import build, one_line
-from depthreg.curriculum import DATA_MODULES, Entry, build_stage, walk
+from depthreg.curriculum import DATA_MODULES, build_stage
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.devices import check_devices, device_count, is_first_process, strategy
 from depthreg.errors import InputError, RunError
@@ -31,6 +31,7 @@ from depthreg.report import SCORES, Results, read_report, rich_table, write_repo
 from depthreg.resume import was_requeued
 from depthreg.run_folder import RECORD, finish_stage, is_finished, read_record, start_record, write_record
 from depthreg.trackers import Trackers, check_trackers, open_trackers
+from depthreg.walk import Entry, walk
 
 
 def check(config: DictConfig) -> None:

@@ -2,12 +2,16 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from hydra.utils import instantiate
+from lightning.fabric.connector import _PRECISION_INPUT_INT, _PRECISION_INPUT_STR, _PRECISION_INPUT_STR_ALIAS
+from lightning.pytorch.accelerators import AcceleratorRegistry
 from omegaconf import OmegaConf
 
-from depthreg.checks import check_together
+from depthreg.callbacks.difficulty import SHAPES
+from depthreg.checks import CHOICES, check_together
 from depthreg.config import CONF_DIR, compose_config
 from depthreg.errors import InputError
 
@@ -176,10 +180,19 @@ def test_a_number_out_of_its_range_is_refused(name: str, overrides: list[str], e
         compose_config(name, overrides)
 
 
+def test_the_choices_of_words_are_those_of_the_code_that_reads_them() -> None:
+    assert CHOICES["stages.*.difficulty.shape"] == SHAPES
+    assert set(CHOICES["trainer.accelerator"]) - {"auto", "gpu"} == set(AcceleratorRegistry.available_accelerators())
+    assert set(CHOICES["trainer.precision"]) <= {*get_args(_PRECISION_INPUT_INT), *get_args(_PRECISION_INPUT_STR)} | {
+        *get_args(_PRECISION_INPUT_STR_ALIAS)
+    }
+
+
 @pytest.mark.parametrize(
     ("name", "overrides", "said"),
     [
         ("train", ["data=rendered"], "data.root is missing"),
+        ("train", ["curriculum=[joint,ful]"], "expected some of joint, completion, full"),
         ("train", ["data.train_count=2", "data.batch_size=3"], "data.train_count=2 is below data.batch_size=3"),
         ("render", ["shard=2", "shards=2"], "shard=2 of shards=2"),
     ],

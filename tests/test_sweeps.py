@@ -126,7 +126,9 @@ def test_each_value_is_checked_once_and_before_anything_is_written(
         (["model=small,papr"], "model=papr"),
         (["experiment=glob(ablations/*)"], "fits no choice: expected some of ablation/"),
         (["data.train_count=8,2", "data.batch_size=4"], "data.train_count=2 is below"),
-        (["trainer.precision=32-true,17"], "Precision 17"),
+        (["trainer.precision=32-true,17"], "trainer.precision=17"),
+        (["curriculum=[joint],[ful]"], "expected some of joint"),
+        (["trainer.gradient_clip_val=1.0,x"], "trainer: `gradient_clip_val` should be an int or a float"),
     ],
 )
 def test_a_sweep_with_a_bad_value_is_refused_before_anything_is_written(

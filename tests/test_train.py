@@ -203,7 +203,7 @@ def test_a_network_without_registration_leaves_colour_where_it_was(name: str, tr
             ["stages.joint.freeze.modules=[completoin]"],
             "stages.joint: freeze.modules has 'completoin': expected completion",
         ),
-        (["stages.full.difficulty.shape=cubic"], "stages.full: shape must be one of linear, cosine, steps"),
+        (["stages.full.difficulty.shape=cubic"], "stages.full.difficulty.shape=cubic: expected one of linear"),
         (["stages.full.patience=0"], "stages.full.patience=0: expected a whole number, at least 1"),
         (["loss.depth.weight=-1"], "loss.depth.weight=-1: expected a number, at least 0"),
     ],

@@ -14,10 +14,10 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from depthreg.curriculum import walk
 from depthreg.errors import InputError
 from depthreg.report import Results, read_report
 from depthreg.run_folder import RECORD, read_record
+from depthreg.walk import walk
 
 Curve = Mapping[int, float]  # epoch, from 0 -> value
 

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor, nn
 
 from depthreg.config import build, compose_config
-from depthreg.curriculum import build_stage, walk
+from depthreg.curriculum import build_stage
 from depthreg.devices import strategy
+from depthreg.walk import walk
 
 CONFIGURATION = [
     *("data.width=80", "data.height=64", "data.train_count=9", "data.val_count=5", "data.workers=0"),
