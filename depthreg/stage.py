@@ -7,7 +7,7 @@ from typing import Any, cast
 import lightning as L
 import torch
 from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
-from torch import Tensor
+from torch import Tensor, nn
 from torchmetrics import MeanMetric, MetricCollection
 
 from depthreg.data.sample import FrameBatch, Measurement
@@ -73,6 +73,8 @@ class Stage(L.LightningModule):
         # Lightning's own means over an epoch are wrong where processes have unequally many frames.
         names = [_logged(name) for name in ("total", *loss.terms)]
         self.val_losses = MetricCollection({name: MeanMetric() for name in names}, compute_groups=False)
+        # Of an epoch; looking for NaN would make a GPU wait for every step.
+        self.train_means = nn.ModuleDict({name: MeanMetric(nan_strategy="disable") for name in (*names, "grad_norm")})
 
     def on_before_batch_transfer(
         self, batch: FrameBatch | Measurement, dataloader_idx: int
@@ -100,10 +102,26 @@ class Stage(L.LightningModule):
     def training_step(self, batch: Measurement, batch_idx: int) -> Tensor:
         """The loss of a batch."""
         _, losses = self._step(batch)
-        logs = {f"train/{name}": value for name, value in losses.items()}
-        self.log_dict(logs, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]), sync_dist=True)
-        self.log("train/difficulty", self.difficulty, on_step=False, on_epoch=True, batch_size=len(batch["rgb"]))
+        for name, value in losses.items():
+            self._log_mean(name, value.detach())
         return losses["loss"]
+
+    def on_before_optimizer_step(self, optimizer: torch.optim.Optimizer) -> None:
+        """Log the gradient's 2-norm over all that learns, before it is clipped."""
+        gradients = [parameter.grad for parameter in self.network.parameters() if parameter.grad is not None]
+        norms = [torch.linalg.vector_norm(gradient) for gradient in gradients]
+        self._log_mean("grad_norm", torch.linalg.vector_norm(torch.stack(norms)))
+
+    def on_train_epoch_start(self) -> None:
+        """Begin the epoch's means; a run that is resumed within an epoch goes on with those of its checkpoint."""
+        for mean in self.train_means.values():
+            cast(MeanMetric, mean).reset()
+
+    def _log_mean(self, name: str, value: Tensor) -> None:
+        """Add a step to an epoch's mean."""
+        mean = cast(MeanMetric, self.train_means[name])
+        mean.update(value)
+        self.log(f"train/{name}", mean, on_step=False, on_epoch=True)
 
     def validation_step(self, batch: Measurement, batch_idx: int) -> None:
         """Add a batch to the epoch's metrics."""
@@ -133,8 +151,15 @@ class Stage(L.LightningModule):
         return min((step + 1) / max(self.warmup_steps, 1), 1) / self.lr_divisor**drops
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Record which network and stage these weights belong to."""
-        checkpoint["depthreg"] = {"network": self.network.config, "stage": self.name}
+        """Record which network and stage these weights belong to, and the epoch's means so far."""
+        means = {name: cast(MeanMetric, mean).metric_state for name, mean in self.train_means.items()}
+        checkpoint["depthreg"] = {"network": self.network.config, "stage": self.name, "train_means": means}
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Go on with the epoch's means."""
+        for name, state in checkpoint["depthreg"]["train_means"].items():
+            for key, value in state.items():
+                setattr(self.train_means[name], key, value.to(self.device))
 
 
 def _logged(name: str) -> str:

@@ -18,7 +18,7 @@ from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from depthreg.callbacks import Interruption, StageProgress, Throughput
+from depthreg.callbacks import Interruption, KeptRow, StageProgress, Throughput
 from depthreg.checkpoint import AtomicCheckpointIO, load_weights, steps_done
 from depthreg.config import build, one_line
 from depthreg.curriculum import DATA_MODULES, build_stage
@@ -172,7 +172,7 @@ def make_trainer(
         **_trainer_options(config),
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
-        callbacks=[*callbacks, *schedules, throughput, progress, _best(folder), interruption],
+        callbacks=[*callbacks, *schedules, throughput, KeptRow(), progress, _best(folder), interruption],
         logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
         plugins=[AtomicCheckpointIO()],
     )

@@ -3,8 +3,8 @@
 from depthreg.callbacks.difficulty import DifficultyRamp
 from depthreg.callbacks.finite import FiniteLoss
 from depthreg.callbacks.freeze import FreezeSchedule
-from depthreg.callbacks.gradients import GradientNorm
 from depthreg.callbacks.interruption import Interruption
+from depthreg.callbacks.kept_row import KeptRow
 from depthreg.callbacks.panels import Panels
 from depthreg.callbacks.patience import Patience
 from depthreg.callbacks.progress import StageProgress
@@ -14,8 +14,8 @@ __all__ = [
     "DifficultyRamp",
     "FiniteLoss",
     "FreezeSchedule",
-    "GradientNorm",
     "Interruption",
+    "KeptRow",
     "Panels",
     "Patience",
     "StageProgress",

@@ -63,3 +63,8 @@ class DifficultyRamp(L.Callback):
         """Set the stage's difficulty for this epoch."""
         assert isinstance(pl_module, Stage)
         pl_module.difficulty = self.difficulty(trainer.current_epoch, trainer.max_epochs or 1)
+
+    def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Log it."""
+        assert isinstance(pl_module, Stage)
+        pl_module.log("train/difficulty", pl_module.difficulty)

@@ -58,9 +58,13 @@ class FreezeSchedule(L.Callback):
         self.apply(pl_module.network, trainer.current_epoch)
 
     def on_train_epoch_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
-        """Freeze what this epoch wants, and log it for each part of the network."""
+        """Freeze what this epoch wants."""
         assert isinstance(pl_module, Stage)
         self.apply(pl_module.network, trainer.current_epoch)
+
+    def on_train_epoch_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
+        """Log for each part of the network whether it was frozen."""
+        assert isinstance(pl_module, Stage)
         for name, part in pl_module.network.named_children():
             learns = [parameter.requires_grad for parameter in part.parameters()]
             pl_module.log(f"frozen/{name}", float(bool(learns) and not any(learns)))

@@ -60,6 +60,13 @@ class ResumableCSVLogger(Logger):
             self.columns, self._rewrite = sorted({*self.columns, *row}), True
         self.rows.append(row)
 
+    def add_missing(self, metrics: Mapping[str, float], step: int) -> None:
+        """Write a row, unless there is one of that step with these metrics."""
+        at_step = [row for row in self.rows if int(row["step"]) == step]
+        if not any(all(row.get(name) for name in metrics) for row in at_step):
+            self.log_metrics(metrics, step)
+            self.save()
+
     @rank_zero_only
     def save(self) -> None:
         """Append new rows; with a new column the file is written anew, as a whole."""

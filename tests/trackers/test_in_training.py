@@ -54,31 +54,59 @@ def curves(folder: Path) -> list[dict[str, str]]:
         return [{key: row[key] for key in row if key not in TIMES} for row in csv.DictReader(file)]
 
 
-def interrupt(monkeypatch: pytest.MonkeyPatch, at_epoch: int) -> None:
-    """Training fails at the second step of an epoch."""
+def interrupt(monkeypatch: pytest.MonkeyPatch, at_epoch: int, at_batch: int = 1) -> None:
+    """Training fails at a step of an epoch."""
     step = Stage.training_step
 
     def failing(self: Stage, batch: object, batch_idx: int) -> object:
-        if self.trainer.current_epoch == at_epoch and batch_idx == 1:
+        if self.trainer.current_epoch == at_epoch and batch_idx == at_batch:
             raise RuntimeError("out of power")
         return step(self, batch, batch_idx)
 
     monkeypatch.setattr(Stage, "training_step", failing)
 
 
-@pytest.mark.parametrize("at_epoch", [0, 2])
-def test_the_log_of_a_resumed_run_is_that_of_an_uninterrupted_one(
-    at_epoch: int, train: Train, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture(scope="module")
+def undisturbed(frames: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, str]]:
+    """The log of a run that nothing happened to."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    assert main(["train", *TINY, f"data.cache_dir={frames}", f"hydra.run.dir={folder}", "logger=csv"]) == 0
+    return curves(folder / "joint")
+
+
+@pytest.mark.parametrize(("at_epoch", "at_batch", "rows"), [(0, 1, 1), (1, 1, 4), (2, 0, 7)])
+def test_the_log_of_a_resumed_run_is_that_of_an_undisturbed_one(
+    at_epoch: int,
+    at_batch: int,
+    rows: int,
+    undisturbed: list[dict[str, str]],
+    train: Train,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = train("whole", "logger=csv")
     with monkeypatch.context() as patch:
-        interrupt(patch, at_epoch)
+        interrupt(patch, at_epoch, at_batch)
+        with pytest.raises(RuntimeError, match="out of power"):
+            train("stopped", "logger=csv", "checkpoint_every_steps=1")  # so it goes on within the epoch
+    log = tmp_path / "stopped" / "joint" / "metrics.csv"
+    assert len(curves(log.parent)) == rows
+    assert main(["train", f"resume={tmp_path / 'stopped'}"]) == 0
+    assert curves(log.parent) == undisturbed
+
+
+def test_a_row_that_was_not_written_before_a_process_was_killed_comes_back(
+    undisturbed: list[dict[str, str]], train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupt(patch, at_epoch=2, at_batch=0)
         with pytest.raises(RuntimeError, match="out of power"):
             train("stopped", "logger=csv")
-    stopped = whole.with_name("stopped")
-    assert len(curves(stopped / "joint")) == 3 * at_epoch + 1
-    assert main(["train", f"resume={stopped}"]) == 0
-    assert curves(stopped / "joint") == curves(whole / "joint")
+    log = tmp_path / "stopped" / "joint" / "metrics.csv"
+    *written, of_training, _ = log.read_text().splitlines(keepends=True)  # the last one is the third epoch's
+    assert of_training.startswith("1,")
+    log.write_text("".join(written))
+    assert main(["train", f"resume={tmp_path / 'stopped'}"]) == 0
+    assert curves(log.parent) == undisturbed
 
 
 @pytest.mark.parametrize("choice", ["csv", "[csv,wandb]"])
