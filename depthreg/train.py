@@ -13,7 +13,7 @@ import torch
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from lightning.pytorch.callbacks import ModelCheckpoint
+from lightning.pytorch.callbacks import ModelCheckpoint, WeightAveraging
 from lightning.pytorch.utilities.exceptions import MisconfigurationException
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -101,6 +101,8 @@ def _run(config: DictConfig, out: Path) -> float:
     _quieten()
     L.seed_everything(config.seed, workers=True, verbose=False)
     network: JointNetwork = build(config.model)
+    if config.compile:
+        network.compile()  # in place: `torch.compile(network)` would rename every weight
     console = Console(quiet=not is_first_process())
     if config.init_from:
         console.print(f"init_from {load_weights(network, Path(config.init_from))}", soft_wrap=True)
@@ -172,7 +174,7 @@ def make_trainer(
         **_trainer_options(config),
         max_epochs=config.stages[entry.stage].epochs,
         default_root_dir=folder,
-        callbacks=[*callbacks, *schedules, throughput, KeptRow(), progress, _best(folder), interruption],
+        callbacks=[*callbacks, *schedules, throughput, KeptRow(), progress, _best(folder, callbacks), interruption],
         logger=trackers.stage_loggers(entry.label, folder, steps_done(last)),
         plugins=[AtomicCheckpointIO()],
     )
@@ -197,10 +199,14 @@ def _pruning(config: DictConfig, entry: Entry) -> list[L.Callback]:
     return [Pruning(current_trial())]
 
 
-def _best(folder: Path) -> ModelCheckpoint:
-    """Keeps the weights of the lowest validation loss; `=` in a name would break Hydra overrides."""
+def _best(folder: Path, callbacks: Sequence[L.Callback]) -> ModelCheckpoint:
+    """Keeps the weights of the lowest validation loss; `=` in a name would break Hydra overrides.
+
+    Where weights are averaged, only a whole checkpoint holds the average, which is what was validated.
+    """
+    averaged = any(isinstance(callback, WeightAveraging) for callback in callbacks)
     return ModelCheckpoint(
-        folder, filename="best", monitor="val/loss", enable_version_counter=False, save_weights_only=True
+        folder, filename="best", monitor="val/loss", enable_version_counter=False, save_weights_only=not averaged
     )
 
 
