@@ -145,5 +145,7 @@ def test_training_is_pruned_by_the_study_of_its_sweep(
     assert [trial.state for trial in trials] == [TrialState.PRUNED] * 2
     for trial in trials:
         assert list(trial.intermediate_values) == [0]
-        record = yaml.safe_load((tmp_path / "sweep" / str(trial.number) / "run.yaml").read_text())
+        run = tmp_path / "sweep" / str(trial.number)
+        assert (run / "completion" / "finished.yaml").exists() and not (run / "joint" / "finished.yaml").exists()
+        record = yaml.safe_load((run / "run.yaml").read_text())
         assert record["config"]["learning_rate"] == trial.params["learning_rate"]
