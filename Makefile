@@ -34,8 +34,8 @@ blender: .venv-blender/installed  ## make .venv-blender, which rendering=cycles 
 train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's overrides, such as ARGS="preset=paper"
 	$(BIN)/depthreg train $(ARGS)
 
-test: install  ## run the tests
-	$(BIN)/python -m pytest $(ARGS)
+test: install  ## run the tests, a process a core
+	$(BIN)/python -m pytest -n auto $(ARGS)
 
 integration: install  ## run the tests on a real Ray and, where it is installed, a real Slurm; takes about a minute
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,cluster]"

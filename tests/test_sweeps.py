@@ -170,6 +170,7 @@ def weights(run: Path) -> dict[str, torch.Tensor]:
 def test_jobs_of_one_process_are_what_they_are_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     threads, handlers = torch.get_num_threads(), list(logging.getLogger("lightning.pytorch").handlers)
+    hydra = GlobalHydra.instance().is_initialized(), HydraConfig.instance().cfg
     shared = [*TINY, "data.cache_dir=frames"]
     assert main(["train", "-m", *shared, "seed=1,0", "hydra.sweep.dir=sweep"]) == 0
     assert main(["train", *shared, "hydra.run.dir=alone"]) == 0
@@ -177,7 +178,7 @@ def test_jobs_of_one_process_are_what_they_are_alone(tmp_path: Path, monkeypatch
     assert [key for key in theirs if not torch.equal(ours[key], theirs[key])] == []
     assert torch.get_num_threads() == threads
     assert logging.getLogger("lightning.pytorch").handlers == handlers
-    assert not GlobalHydra.instance().is_initialized() and not HydraConfig.initialized()
+    assert (GlobalHydra.instance().is_initialized(), HydraConfig.instance().cfg) == hydra
 
 
 def test_joblib_runs_jobs_side_by_side_and_names_the_one_that_fails(
