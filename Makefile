@@ -35,7 +35,7 @@ train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's ove
 	$(BIN)/depthreg train $(ARGS)
 
 test: install  ## run the tests, a process a core
-	$(BIN)/python -m pytest -n auto $(ARGS)
+	$(BIN)/python -m pytest -n auto --ignore=tests/integration $(ARGS)
 
 integration: install  ## run the tests on a real Ray and, where it is installed, a real Slurm; takes about a minute
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,cluster]"
