@@ -37,7 +37,7 @@ train: install  ## train the quick curriculum, evaluate, draw; takes Hydra's ove
 test: install  ## run the tests, a process a core
 	$(BIN)/python -m pytest -n auto --ignore=tests/integration $(ARGS)
 
-integration: install  ## run the tests on a real Ray and, where it is installed, a real Slurm; takes about a minute
+integration: install  ## run the tests on a real Ray and, where it is installed, a real Slurm; takes three minutes
 	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,cluster]"
 	$(BIN)/python -m pytest tests/integration $(ARGS)
 
