@@ -1,7 +1,5 @@
 """A real Slurm takes a training job off its node and starts it again: it ends as if nothing had happened."""
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +7,6 @@ from pathlib import Path
 import pytest
 import torch
 
-SLURM = Path(__file__).with_name("with_slurm.sh")
 TRAIN = [
     *(sys.executable, "-m", "depthreg", "train", "curriculum=[joint]", "epochs.joint=12", "logger=csv"),
     *("data.width=80", "data.height=64", "data.train_count=6", "data.val_count=2", "data.batch_size=2"),
@@ -44,13 +41,12 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.param("scontrol requeue $job", id="preempted"),  # SIGTERM, as from PreemptMode=REQUEUE
     ],
 )
-def test_a_job_that_is_queued_again_goes_on(interrupt: str, undisturbed: Path, tmp_path: Path) -> None:
-    path = os.pathsep.join([os.environ["PATH"], "/usr/sbin", "/sbin"])
-    if missing := [name for name in ("slurmctld", "slurmd", "munged") if not shutil.which(name, path=path)]:
-        pytest.skip(f"{', '.join(missing)} isn't installed: apt-get install slurm-wlm munge")
+def test_a_job_that_is_queued_again_goes_on(
+    interrupt: str, slurm: list[str], undisturbed: Path, tmp_path: Path
+) -> None:
     (tmp_path / "job.sh").write_text(JOB.format(command=" ".join(TRAIN)))
     (tmp_path / "watch.sh").write_text(WATCH.format(interrupt=interrupt))
-    done = subprocess.run([SLURM, "bash", "watch.sh"], cwd=tmp_path, capture_output=True, text=True)
+    done = subprocess.run([*slurm, "bash", "watch.sh"], cwd=tmp_path, capture_output=True, text=True)
     said = (tmp_path / "said.txt").read_text()
     assert done.returncode == 0, done.stderr + said
     assert "saved" in said
