@@ -3,6 +3,7 @@
 import argparse
 import functools
 import importlib.util
+import multiprocessing
 import os
 import sys
 import traceback
@@ -117,6 +118,9 @@ def run_job(name: str, config: DictConfig) -> Any:
         What the command's `run` returns; where it failed, its error, and in a sweep a `Failure`.
     """
     hydra = HydraConfig.get()
+    methods = multiprocessing.get_all_start_methods()  # the platform's own first
+    if multiprocessing.get_start_method(allow_none=True) not in (None, *methods):
+        multiprocessing.set_start_method(methods[0], force=True)  # joblib's starts no loader processes
     try:
         return importlib.import_module(f"depthreg.{name}").run(config)
     except Exception as error:

@@ -36,6 +36,8 @@ class Failure:
         """What an error makes of its job."""
         if isinstance(error, InputError | Pruned):
             return cls("input" if isinstance(error, InputError) else "pruned", str(error))
+        while isinstance(error.__context__, Exception) and not error.__suppress_context__:
+            error = error.__context__  # what happened first; cleaning up after it may have failed too
         return cls("error", str(error) if isinstance(error, RunError) else f"{type(error).__name__}: {one_line(error)}")
 
 

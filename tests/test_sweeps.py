@@ -15,7 +15,7 @@ from depthreg import gallery
 from depthreg.cli import main
 from depthreg.config import CONF_DIR, open_hydra
 from depthreg.errors import InputError
-from depthreg.sweeps import expand_globs
+from depthreg.sweeps import Failure, expand_globs
 
 TINY = [
     *("data.width=80", "data.height=64", "data.train_count=4", "data.val_count=2", "data.batch_size=2"),
@@ -181,6 +181,16 @@ def test_jobs_of_one_process_are_what_they_are_alone(tmp_path: Path, monkeypatch
     assert (GlobalHydra.instance().is_initialized(), HydraConfig.instance().cfg) == hydra
 
 
+def test_a_failure_names_what_happened_first() -> None:
+    try:
+        try:
+            raise OSError("the disk is full")
+        finally:
+            raise RuntimeError("cleaning up failed too")
+    except RuntimeError as error:
+        assert Failure.of(error) == Failure("error", "OSError: the disk is full")
+
+
 def test_joblib_runs_jobs_side_by_side_and_names_the_one_that_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +199,6 @@ def test_joblib_runs_jobs_side_by_side_and_names_the_one_that_fails(
     (tmp_path / "sweep" / "1").mkdir(parents=True)
     (tmp_path / "sweep" / "1" / "joint").touch()  # where the second job wants a folder
     flags = ["-m", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "hydra.sweep.dir=sweep"]
-    assert main(["train", *flags, *TINY, "data.cache_dir=null", "seed=0,1"]) in (1, 2)
+    assert main(["train", *flags, *TINY, "data.cache_dir=null", "data.workers=1", "seed=0,1"]) in (1, 2)
     assert "1 of 2 jobs failed:\n  job 1 (seed=1): " in capsys.readouterr().err
     assert (tmp_path / "sweep" / "0" / "metrics.csv").is_file()
