@@ -81,6 +81,8 @@ RANGES: dict[str, Rule] = {
     "seed": _whole(0),
     "shard": _whole(0),
     "panels": _whole(0),
+    "worst": _whole(0),
+    "curves": _whole(0),
     "data.workers": _whole(0),  # 0 is this process itself
     "workers": _whole(1),
     "count": _whole(1),

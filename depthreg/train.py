@@ -25,9 +25,9 @@ from depthreg.curriculum import DATA_MODULES, build_stage
 from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.devices import check_devices, device_count, is_first_process, strategy
 from depthreg.errors import InputError, RunError
-from depthreg.evaluate import MISALIGNED, OURS, evaluate
+from depthreg.evaluate import evaluate
 from depthreg.networks import JointNetwork
-from depthreg.report import SCORES, Results, read_report, rich_table, write_report
+from depthreg.report import MISALIGNED, OURS, SCORES, Results, read_report, rich_table, write_report
 from depthreg.resume import was_requeued
 from depthreg.run_folder import RECORD, finish_stage, is_finished, read_record, start_record, write_record
 from depthreg.trackers import Trackers, check_trackers, open_trackers

@@ -17,6 +17,7 @@ _TEXT = 235
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _FONT_PX = 22  # height of its capitals at scale 1
 _EDGE_RGB = np.array([80, 255, 80], np.uint8)
+_TOO_NEAR_RGB, _TOO_FAR_RGB = np.array([20, 60, 200]), np.array([200, 30, 20])
 
 
 def depth_limits_m(*depths_m: np.ndarray) -> tuple[float, float]:
@@ -71,6 +72,21 @@ def error_with_bar(error_m: np.ndarray, max_m: float) -> np.ndarray:
     colors = colorize_error(np.linspace(max_m, 0, len(error_m))[:, None], max_m)[:, 0]
     bar = color_bar(colors, np.linspace(max_m, 0, 5))
     return np.hstack([colorize_error(error_m, max_m), bar])
+
+
+def colorize_signed_error(error_m: np.ndarray, max_m: float) -> np.ndarray:
+    """Colour an error by its sign: too near = blue, none = white, too far = red, unknown (NaN) = grey."""
+    known = np.isfinite(error_m)
+    unit = (np.where(known, error_m, 0) / max_m).clip(-1, 1)[..., None]
+    colored = 255 + np.abs(unit) * (np.where(unit < 0, _TOO_NEAR_RGB, _TOO_FAR_RGB) - 255.0)
+    return np.where(known[..., None], colored.round().astype(np.uint8), np.uint8(_UNKNOWN))
+
+
+def signed_error_with_bar(error_m: np.ndarray, max_m: float) -> np.ndarray:
+    """Error coloured by its sign, with its scale at the right."""
+    colors = colorize_signed_error(np.linspace(max_m, -max_m, len(error_m))[:, None], max_m)[:, 0]
+    bar = color_bar(colors, np.linspace(max_m, -max_m, 5))
+    return np.hstack([colorize_signed_error(error_m, max_m), bar])
 
 
 def dilate_depth(depth_m: np.ndarray, radius_px: int) -> np.ndarray:

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from depthreg import evaluate as module
 from depthreg.cli import main
 from depthreg.errors import InputError
-from depthreg.evaluate import ALIGNED, MISALIGNED, OURS, REGISTRATION, evaluate, misalign
+from depthreg.evaluate import evaluate
+from depthreg.evaluation import scores as module
+from depthreg.evaluation.settings import misalign
 from depthreg.geometry import identity_affine
 from depthreg.networks import JointNetwork, JointOutput
+from depthreg.report import ALIGNED, MISALIGNED, OURS, REGISTRATION
 
 SIZE = (117, 163)
 SHIFT_PX = 60.0  # for 1242 px of width, so about 8 px here
@@ -187,6 +189,13 @@ def test_pictures_are_written_for_the_first_frames(tmp_path):
     assert cv2.imread(str(pictures[0])).std() > 10
 
 
+def test_the_worst_frames_are_those_of_the_largest_multiple_of_the_rivals_error(tmp_path):
+    easy, hard = real_frame(seed=0), real_frame(seed=1)
+    blind = {key: value for key, value in hard.items() if key != "truth_depth_m"}
+    evaluate(Oracle(easy), [easy, hard, blind], max_corner_shift_px=SHIFT_PX, worst_dir=tmp_path, worst=5)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1_frame_000001.png", "2_frame_000000.png"]
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A working folder with a checkpoint of a tiny untrained network and a folder of two pairs."""
@@ -215,6 +224,9 @@ def test_the_command_prints_and_writes_one_table(here, capsys):
     assert float(rows[0]["nearest"]) == 0  # the pairs' depth is dense, and equals their truth
     assert "| depth, aligned | RMSE (m) |" in (run / "metrics.md").read_text()
     assert len(list((run / "panels").iterdir())) == 1
+    assert len(list((run / "worst").iterdir())) == 2
+    assert next(csv.DictReader((run / "curves.csv").open()))["curve"] == "returns"
+    assert "plotly" in (run / "curves.html").read_text(encoding="utf-8")
     printed = capsys.readouterr().out
     assert "2 of 2 frames of pairs" in printed and str(run / "metrics.md") in printed
 
@@ -231,6 +243,7 @@ def test_the_command_scores_synthetic_frames(here, capsys):
         (FOLDER[1:], "run `depthreg train` here first"),
         (FOLDER[:-1], "data.depth_scale is missing"),
         ([*FOLDER, "limit=0"], "limit=0"),
+        ([*FOLDER, "curves=-1"], "curves=-1"),
         ([*FOLDER, "max_corner_shift_px=-1"], "max_corner_shift_px=-1"),
         ([*FOLDER, "difficulty=2"], "difficulty=2"),
         ([*FOLDER, "max_corner_shift_px=much"], "max_corner_shift_px=much"),

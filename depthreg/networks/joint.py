@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from depthreg.geometry import warp_affine
+from depthreg.geometry import identity_affine, warp_affine
 from depthreg.networks.blocks import conv_norm_gelu, fill_nearest, fill_smoothly
 from depthreg.networks.completion import TinyUNet
 from depthreg.networks.registration import LocalMatches, RegistrationNet
@@ -80,12 +80,13 @@ class JointNetwork(nn.Module):
         self._log_span = math.log(self.max_depth_m / self.min_depth_m)
         self.stride = max(self.completion.stride, self.registration.stride)
 
-    def forward(self, rgb: Tensor, depth_m: Tensor) -> JointOutput:
+    def forward(self, rgb: Tensor, depth_m: Tensor, register: bool = True) -> JointOutput:
         """Register and complete.
 
         Args:
             rgb: Colour in [0, 1], (B, 3, H, W), H and W at least 64.
             depth_m: Sparse z-depth in metres, (B, 1, H, W); 0 where there is no return.
+            register: Look for the affine; else it is the identity, and the colour is used as it comes.
         """
         height, width = rgb.shape[-2:]
         if min(height, width) < 64 or rgb.shape[-2:] != depth_m.shape[-2:]:
@@ -99,7 +100,9 @@ class JointNetwork(nn.Module):
         rgb_padded = F.pad(rgb, padding, mode="replicate")
 
         first_depth = self.first_depth(torch.cat([sparse, filled, valid.to(sparse.dtype)], dim=1))
-        affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
+        affine, matches = identity_affine(len(rgb), device=rgb.device), []
+        if register:
+            affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
         known = fill_nearest(sparse, valid) if self.residual else sparse  # a correction sees what it corrects
         if self.use_rgb:

@@ -49,10 +49,23 @@ def random_affines(
     deviation = torch.einsum("bk,kij->bij", mixture, kinds)
     to_centre = torch.tensor([(width - 1) / 2, (height - 1) / 2])
     deviation[..., 2] -= deviation[..., :2] @ to_centre  # rotate and scale about the image's centre
-    identity = identity_affine(count)
-    worst_corner_px = corner_errors_px(identity + deviation, identity, size).amax(dim=-1)
     wanted_px = torch.rand(count, generator=generator) * max_corner_shift_px
-    return identity + deviation * (wanted_px / worst_corner_px)[:, None, None]
+    return _scaled(deviation, wanted_px, size)
+
+
+def with_corner_shift(affine: Tensor, corner_shift_px: Tensor, size: tuple[int, int]) -> Tensor:
+    """Affines (B, 2, 3) of the same kind, scaled so that the worst corner moves by so many pixels (B,).
+
+    The identity stays the identity. `size` is (height, width).
+    """
+    return _scaled(affine - identity_affine(len(affine)), corner_shift_px, size)
+
+
+def _scaled(deviation: Tensor, corner_shift_px: Tensor, size: tuple[int, int]) -> Tensor:
+    """The identity and a multiple of a deviation (B, 2, 3) from it that moves the worst corner by so much (B,)."""
+    identity = identity_affine(len(deviation))
+    worst_corner_px = corner_errors_px(identity + deviation, identity, size).amax(dim=-1).clamp(min=1e-6)
+    return identity + deviation * (corner_shift_px / worst_corner_px)[:, None, None]
 
 
 def misalign_rgb(rgb_with_margin: Tensor, affine_rgb_from_depth: Tensor, margin_px: int) -> Tensor:

@@ -9,8 +9,7 @@ from typing import Any
 import yaml
 from lightning.pytorch.loggers import Logger
 
-from depthreg.evaluate import OURS
-from depthreg.report import Results
+from depthreg.report import OURS, Results
 
 
 @dataclass(frozen=True)

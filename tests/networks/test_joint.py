@@ -162,3 +162,13 @@ def test_the_configuration_rebuilds_the_network() -> None:
     again = JointNetwork(**network.config)
     again.load_state_dict(network.state_dict())
     assert again.config == network.config
+
+
+def test_without_registration_the_colour_is_used_as_it_comes(make_network):
+    network = make_network().eval()
+    torch.manual_seed(0)
+    rgb, depth_m = torch.rand(1, 3, 64, 70), 5 * (torch.rand(1, 1, 64, 70) < 0.2).float()
+    with torch.no_grad():
+        output = network(rgb, depth_m, register=False)
+    torch.testing.assert_close(output.affine_rgb_from_depth, torch.eye(2, 3)[None])
+    torch.testing.assert_close(output.rgb_aligned, rgb, atol=1e-5, rtol=0)
