@@ -112,7 +112,6 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
     return Subset(dataset, _spread(len(dataset), config.limit or len(dataset)))
 
 
-@torch.inference_mode()
 def evaluate(
     network: nn.Module,
     dataset: Dataset[Mapping[str, Any]],

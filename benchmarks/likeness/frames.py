@@ -53,31 +53,31 @@ class DepthImage:
     group: str
 
 
-def _projection(path: Path, key: str) -> np.ndarray:
+def projection(path: Path, key: str) -> np.ndarray:
     """The 3x4 matrix of a line of one of KITTI's calibration files."""
     lines = dict(line.split(":", 1) for line in path.read_text().splitlines() if ":" in line)
     return np.array(lines[key].split(), float).reshape(3, 4)
 
 
-def _read(path: Path, projection: np.ndarray | Camera, group: str) -> DepthImage:
+def _read(path: Path, camera: np.ndarray | Camera, group: str) -> DepthImage:
     depth_m = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32) / 256
-    if isinstance(projection, Camera):
-        return DepthImage(depth_m, projection, group)
+    if isinstance(camera, Camera):
+        return DepthImage(depth_m, camera, group)
     height, width = depth_m.shape
-    center = (float(projection[0, 2]), float(projection[1, 2]))
-    return DepthImage(depth_m, Camera(width, height, float(projection[0, 0]), center), group)
+    center = (float(camera[0, 2]), float(camera[1, 2]))
+    return DepthImage(depth_m, Camera(width, height, float(camera[0, 0]), center), group)
 
 
 def real_lidar_frames(root: Path) -> list[DepthImage]:
     """KITTI's sparse input frames; the group starts with the recording's name."""
-    odometry = _projection(root / "kitti_odom_04/calib.txt", "P2")
-    raw = _projection(root / "kitti_raw_0048/calib/calib_cam_to_cam.txt", "P_rect_02")
+    odometry = projection(root / "kitti_odom_04/calib.txt", "P2")
+    raw = projection(root / "kitti_raw_0048/calib/calib_cam_to_cam.txt", "P_rect_02")
     objects = root / "kitti_object_a"
     frames = [_read(p, odometry, "odom_04") for p in sorted((root / "kitti_odom_04/cam2/velodyne_raw").glob("*.png"))]
     frames += [_read(p, raw, "raw_0048") for p in sorted((root / "kitti_raw_0048/velodyne_raw").glob("*.png"))]
     for path in sorted((objects / "velodyne_raw").glob("*.png")):
-        projection = _projection(objects / "calib" / f"{path.stem}.txt", "P2")
-        frames.append(_read(path, projection, f"object_{path.stem}"))
+        matrix = projection(objects / "calib" / f"{path.stem}.txt", "P2")
+        frames.append(_read(path, matrix, f"object_{path.stem}"))
     for path in sorted((root / "kitti_dc_official").glob("triple_*/sparse_depth.png")):
         frames.append(_read(path, _CROPPED, f"official_{path.parent.name}"))
     return frames

@@ -59,7 +59,6 @@ class CurveError(NamedTuple):
     weight: float = 1.0  # frames, or pixels where the curve has bins
 
 
-@torch.inference_mode()
 def frame_errors(
     network: nn.Module, aligned: Measurement, max_corner_shift_px: float = 24.0, seed: tuple[int, int] = (0, 0)
 ) -> Iterator[CurveError]:

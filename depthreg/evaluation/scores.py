@@ -22,6 +22,7 @@ from depthreg.viz import to_picture
 T = TypeVar("T")
 
 
+@torch.inference_mode()
 def run_network(network: nn.Module, sample: Measurement, **options: Any) -> JointOutput:
     """The network's results on a batch, on the CPU; `register=False` takes the colour as it comes."""
     device = next(network.parameters()).device
