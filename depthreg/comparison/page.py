@@ -22,8 +22,8 @@ _HERE = Path(__file__).parent
 _ARROWS = {LOWER: " ↓", HIGHER: " ↑"}
 
 
-def render_page(rows: Sequence[Row], notes: Sequence[str], title: str) -> str:
-    """The page as HTML; whatever comes from a configuration is escaped."""
+def render_page(rows: Sequence[Row], notes: Sequence[str], title: str, reference: Row | None = None) -> str:
+    """The page as HTML, with differences from a reference; whatever comes from a configuration is escaped."""
     environment = Environment(loader=FileSystemLoader(_HERE), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     album, stages = make_album(rows), stages_of(rows)
     sets = _column_sets(columns(rows))
@@ -35,7 +35,8 @@ def render_page(rows: Sequence[Row], notes: Sequence[str], title: str) -> str:
         notes=notes,
         sets=list(sets),
         columns=[_heading(column, sets) for column in columns(rows)],
-        rows=_described(rows, sets),
+        rows=_described(rows, sets, reference),
+        reference=reference.name if reference else "",
         stages=stages,
         album={**vars(album.choice), "shown": len(album.images), "found": album.found},
         data=_data(rows, stages, album),
@@ -62,7 +63,9 @@ def _heading(column: Column, sets: Mapping[str, Sequence[Column]]) -> dict[str, 
     return {"task": task, "name": name, "arrow": _ARROWS.get(direction, ""), "sets": _sets_of(column, sets)}
 
 
-def _described(rows: Sequence[Row], sets: Mapping[str, Sequence[Column]]) -> list[dict[str, Any]]:
+def _described(
+    rows: Sequence[Row], sets: Mapping[str, Sequence[Column]], reference: Row | None
+) -> list[dict[str, Any]]:
     """What the page says of each row."""
     best = {column: best_rows(rows, column) for column in columns(rows)}
     return [
@@ -76,7 +79,7 @@ def _described(rows: Sequence[Row], sets: Mapping[str, Sequence[Column]]) -> lis
             "steps_value": max(run.steps for run in row.runs),
             "frames": row.count("frames"),
             "frames_value": max(run.frames for run in row.runs),
-            "scores": [_score(row, column, best[column][i], sets) for column in best],
+            "scores": [_score(row, column, best[column][i], sets, reference) for column in best],
             "differences": row.differences,
             "runs": row.runs,
             "config": yaml.safe_dump(dict(row.runs[0].config), sort_keys=False, allow_unicode=True),
@@ -85,7 +88,9 @@ def _described(rows: Sequence[Row], sets: Mapping[str, Sequence[Column]]) -> lis
     ]
 
 
-def _score(row: Row, column: Column, best: bool, sets: Mapping[str, Sequence[Column]]) -> dict[str, Any]:
+def _score(
+    row: Row, column: Column, best: bool, sets: Mapping[str, Sequence[Column]], reference: Row | None
+) -> dict[str, Any]:
     score = row.score(column)
     known, spread = not math.isnan(score.mean), not math.isnan(score.std)
     each = (f"seed {run.seed}: {value:.4f}" for run, value in zip(row.finished, score.values, strict=True))
@@ -93,6 +98,7 @@ def _score(row: Row, column: Column, best: bool, sets: Mapping[str, Sequence[Col
         "value": score.mean if known else "",
         "mean": f"{score.mean:.3f}" if known else "-",
         "std": f"{score.std:.3f}" if known and spread else "",
+        "difference": row.difference(reference, column).signed if reference and row is not reference else "",
         "title": "\n".join(each),
         "best": best,
         "sets": _sets_of(column, sets),

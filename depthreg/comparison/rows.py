@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from depthreg.comparison.runs import Run
+from depthreg.errors import InputError
 from depthreg.report import METRICS, OURS, Results, best_of
 
 Column = tuple[str, str]  # task, metric
@@ -28,7 +29,16 @@ class Spread(NamedTuple):
     def __str__(self) -> str:
         if math.isnan(self.mean):
             return "-"
-        return f"{self.mean:.3f}" + ("" if math.isnan(self.std) else f" ± {self.std:.3f}")
+        return f"{self.mean:.3f}" + self._deviation
+
+    @property
+    def signed(self) -> str:
+        """As text, with the sign of a difference."""
+        return "-" if math.isnan(self.mean) else f"{self.mean:+.3f}" + self._deviation
+
+    @property
+    def _deviation(self) -> str:
+        return "" if math.isnan(self.std) else f" ± {self.std:.3f}"
 
 
 def spread(values: Sequence[float]) -> Spread:
@@ -77,9 +87,34 @@ class Row:
 
     def score(self, column: Column) -> Spread:
         """Our scores in the final tables, over seeds."""
-        task, metric = column
-        scores = [(run.results or {}).get(task, {}).get(OURS, {}).get(metric, math.nan) for run in self.finished]
-        return spread(scores)
+        return spread([_score_of(run, column) for run in self.finished])
+
+    def difference(self, reference: "Row", column: Column) -> Spread:
+        """How much larger this row's scores are than another's, over the seeds that both have finished.
+
+        Scores spread over seeds mostly since some validation frames are harder than others; what is hard for one row is
+        so for the other, and drops out here.
+        """
+        theirs = {run.seed: _score_of(run, column) for run in reference.finished}
+        shared = [run for run in self.finished if run.seed in theirs]
+        return spread([_score_of(run, column) - theirs[run.seed] for run in shared])
+
+
+def _score_of(run: Run, column: Column) -> float:
+    task, metric = column
+    return (run.results or {}).get(task, {}).get(OURS, {}).get(metric, math.nan)
+
+
+def find_row(rows: Sequence[Row], words: str) -> Row:
+    """The row of that name, or the one whose name ends in it.
+
+    Raises:
+        InputError: There is none, or there are several.
+    """
+    found = [row for row in rows if row.name == words] or [row for row in rows if row.name.endswith(words)]
+    if len(found) != 1:
+        raise InputError(f"--against {words}: expected one of {', '.join(row.name for row in rows)}")
+    return found[0]
 
 
 def make_rows(runs: Sequence[Run]) -> list[Row]:

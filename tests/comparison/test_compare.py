@@ -180,3 +180,32 @@ def test_arguments_that_cannot_be_meant_are_refused(
     printed = capsys.readouterr()
     assert said in printed.err and len(printed.err.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_differences_are_taken_seed_by_seed(
+    make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed, ours_m, theirs_m in ((1, 2.0, 2.5), (2, 4.0, 4.4), (3, 9.0, 9.9)):  # frames of seed 3 are hard for both
+        make_run(f"runs/a{seed}", seed=seed, rmse_m=ours_m, **weight(0.1))
+        make_run(f"runs/b{seed}", seed=seed, rmse_m=theirs_m, **weight(0.2))
+    make_run("runs/b4", seed=4, rmse_m=99.0, **weight(0.2))  # has no partner
+    out = tmp_path / "out"
+    assert main(["compare", str(tmp_path / "runs"), "--against", "weight=0.1", "--out", str(out)]) == 0
+    deviation = statistics.stdev([0.5, 0.4, 0.9])
+    expected = f"+0.600 ± {deviation:.3f}"
+    assert expected in capsys.readouterr().out
+    assert f"({expected})" in (out / "compare.md").read_text() and expected in (out / "compare.html").read_text()
+    with (out / "compare.csv").open() as file:
+        first, second = csv.DictReader(file)
+    assert float(first["difference_mean"]) == 0 and float(second["difference_std"]) == pytest.approx(deviation)
+
+
+@pytest.mark.parametrize("words", ["weight=0.3", "1"])
+def test_a_reference_is_one_of_the_rows(
+    words: str, make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i, value in enumerate((0.1, 1.1)):
+        make_run(f"runs/{i}", rmse_m=2.0, **weight(value))
+    assert main(["compare", str(tmp_path / "runs"), "--against", words, "--out", str(tmp_path / "out")]) == 2
+    assert f"--against {words}: expected one of loss.weight=0.1, loss.weight=1.1" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
