@@ -11,8 +11,9 @@ from lightning.fabric.plugins import TorchCheckpointIO
 
 from depthreg.data.io import atomic_write
 from depthreg.errors import InputError, RunError
-from depthreg.networks import JointNetwork
+from depthreg.networks import HalfResolutionNetwork, JointNetwork, Network
 
+NETWORKS = {network.__name__: network for network in (JointNetwork, HalfResolutionNetwork)}
 _PREFIX = "network."  # of the network's weights in a stage's state
 
 
@@ -77,7 +78,12 @@ def _weights(checkpoint: dict[str, Any]) -> dict[str, torch.Tensor]:
     return {key.removeprefix(_PREFIX): value for key, value in state.items() if key.startswith(_PREFIX)}
 
 
-def load_network(path: Path) -> JointNetwork:
+def described(network: Network) -> dict[str, Any]:
+    """What it takes to build a network again, in plain containers."""
+    return {"architecture": type(network).__name__, "network": network.config}
+
+
+def load_network(path: Path) -> Network:
     """The network of any stage's checkpoint, on the CPU and in evaluation mode.
 
     Raises:
@@ -85,7 +91,7 @@ def load_network(path: Path) -> JointNetwork:
     """
     checkpoint = read_checkpoint(path)
     try:
-        network = JointNetwork(**checkpoint["depthreg"]["network"])
+        network = NETWORKS[checkpoint["depthreg"]["architecture"]](**checkpoint["depthreg"]["network"])
         network.load_state_dict(_weights(checkpoint))
     except (TypeError, RuntimeError, KeyError) as error:
         raise InputError(f"{path} holds a network that this version of depthreg does not know") from error
@@ -101,7 +107,7 @@ def steps_done(path: Path) -> int:
     return read_checkpoint(path)["global_step"] if path.exists() else 0
 
 
-def load_weights(network: JointNetwork, path: Path) -> str:
+def load_weights(network: Network, path: Path) -> str:
     """Copy a checkpoint's weights into a network of the same configuration.
 
     Returns:
@@ -111,15 +117,13 @@ def load_weights(network: JointNetwork, path: Path) -> str:
         InputError: The checkpoint is of another model, or see `read_checkpoint`.
     """
     checkpoint = read_checkpoint(path)
-    theirs = checkpoint["depthreg"]["network"]
-    different = sorted(
-        key for key in network.config.keys() | theirs.keys() if network.config.get(key) != theirs.get(key)
-    )
+    ours, theirs = described(network), checkpoint["depthreg"]
+    ours, theirs = ({"architecture": one["architecture"], **one["network"]} for one in (ours, theirs))
+    different = [key for key in ours | theirs if ours.get(key) != theirs.get(key)]
     if different:
-        key = different[0]
+        key = min(different, key=lambda key: (key != "architecture", key))
         raise InputError(
-            f"{path} is a checkpoint of another model: expected {key}={network.config.get(key)}, "
-            f"it has {key}={theirs.get(key)}"
+            f"{path} is a checkpoint of another model: expected {key}={ours.get(key)}, it has {key}={theirs.get(key)}"
         )
     weights = _weights(checkpoint)
     network.load_state_dict(weights)

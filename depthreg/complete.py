@@ -170,7 +170,7 @@ def complete(network: nn.Module, rgb: Tensor, depth_m: Tensor) -> JointOutput:
     """Align colour with depth and complete the depth.
 
     Args:
-        network: A `JointNetwork` in evaluation mode, on whatever device.
+        network: Any of `depthreg.networks` in evaluation mode, on whatever device.
         rgb: Colour in [0, 1], (B, 3, H, W).
         depth_m: Sparse z-depth, (B, 1, H, W) metres, 0 = none.
 
@@ -179,7 +179,9 @@ def complete(network: nn.Module, rgb: Tensor, depth_m: Tensor) -> JointOutput:
     """
     device = next(network.parameters()).device
     output = network(rgb.to(device), depth_m.to(device))
-    return JointOutput(output.depth_m.cpu(), output.rgb_aligned.cpu(), output.affine_rgb_from_depth.cpu(), [])
+    return JointOutput(
+        output.depth_m.cpu(), output.rgb_aligned.cpu(), output.affine_rgb_from_depth.cpu(), [], output.trust.cpu()
+    )
 
 
 def write_results(folder: Path, sample: Measurement, output: JointOutput, scale: float) -> None:

@@ -12,7 +12,7 @@ from depthreg.data.datamodule import FramesDataModule, RenderedDataModule, Synth
 from depthreg.data.rendered import FolderStore, Store, folders_in, of_world
 from depthreg.data.streaming import TarStore, urls_in
 from depthreg.errors import InputError
-from depthreg.networks import JointNetwork
+from depthreg.networks import Network
 from depthreg.sensors import SensorSimulator
 from depthreg.stage import Stage
 from depthreg.walk import Entry
@@ -26,7 +26,7 @@ class StageParts(NamedTuple):
     callbacks: list[L.Callback]  # that say what happens in an epoch
 
 
-def build_stage(config: DictConfig, entry: Entry, network: JointNetwork) -> StageParts:
+def build_stage(config: DictConfig, entry: Entry, network: Network) -> StageParts:
     """The module, the data and the schedules of one step of the curriculum, from the composed configuration.
 
     Raises:

@@ -128,7 +128,7 @@ def evaluate(
     Depth is scored with aligned and with misaligned colour; registration against the known misalignment.
 
     Args:
-        network: A `JointNetwork`, on whatever device.
+        network: Any of `depthreg.networks`, on whatever device.
         dataset: Gives `Measurement` items without the batch axis; see `both_settings`.
         max_corner_shift_px: Largest misalignment put on real frames, for an image 1242 pixels wide.
         seed: First number of every misalignment, the second one being the frame's index.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from depthreg.data.sample import Measurement
@@ -75,7 +76,7 @@ class Dissimilarity:
     def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
         """Of each image, (B,)."""
         _, seen = warp_affine(measurement["rgb"], output.affine_rgb_from_depth)
-        return 1 - masked_ssim(output.rgb_aligned, measurement["truth_rgb"], seen)
+        return of_pairs(1 - masked_ssim(output.rgb_aligned, measurement["truth_rgb"], seen), measurement)
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,7 @@ class CornerError:
 
     def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
         """Of each image, (B,)."""
-        height, width = measurement["rgb"].shape[-2:]
-        truth = measurement["truth_affine_rgb_from_depth"]
-        return 100 / width * corner_errors_px(output.affine_rgb_from_depth, truth, (height, width)).mean(dim=-1)
+        return of_pairs(corner_error_pct(output, measurement), measurement)
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,110 @@ class MatchCrossEntropy:
         truth = measurement["truth_affine_rgb_from_depth"]
         if not output.matches:
             return torch.zeros_like(truth[:, 0, 0])
-        return torch.stack([match_cross_entropy(matches, truth) for matches in output.matches]).mean(dim=0)
+        terms = torch.stack([match_cross_entropy(matches, truth) for matches in output.matches])
+        return of_pairs(terms.mean(dim=0), measurement)
+
+
+@dataclass(frozen=True)
+class TrustCrossEntropy:
+    """Cross-entropy of the trust in the affine against whether it is right.
+
+    Args:
+        weight: Its share of the sum.
+        right_pct: The largest mean corner error that counts as right, in percent of the image's width; 0.25 is 3 px of
+            KITTI's 1242.
+    """
+
+    weight: float
+    right_pct: float = 0.25
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,)."""
+        right = of_pairs((corner_error_pct(output, measurement) < self.right_pct).float(), measurement)
+        return F.binary_cross_entropy(output.trust.float(), right, reduction="none")
+
+
+@dataclass(frozen=True)
+class LogDepthL1:
+    """Mean absolute error of the depth's logarithm, which serves the inverse depth and the near as well as the far."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 where there is no truth."""
+        truth_m = measurement["truth_depth_m"]
+        error = output.depth_m.log() - torch.where(truth_m > 0, truth_m, 1).log()
+        return masked_mean(error.abs(), truth_m > 0, dim=(1, 2, 3))
+
+
+@dataclass(frozen=True)
+class RelativeL1:
+    """Mean absolute depth error as a share of the image's mean depth: rooms count as much as streets."""
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 where there is no truth."""
+        truth_m = measurement["truth_depth_m"]
+        error = masked_mean((output.depth_m - truth_m).abs(), truth_m > 0, dim=(1, 2, 3))
+        return error / mean_depth_m(truth_m)
+
+
+@dataclass(frozen=True)
+class RelativeRmse:
+    """Root mean square depth error around the returns, as a share of the image's mean depth.
+
+    Far from any return the depth is a guess, and squares would let those guesses rule; scanners' benchmarks have no
+    truth there either.
+
+    Args:
+        weight: Its share of the sum.
+        reach_px: How far around a return counts.
+    """
+
+    weight: float
+    reach_px: int = 16
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 where there is no truth."""
+        truth_m, measured = measurement["truth_depth_m"], (measurement["depth_m"] > 0).float()
+        near = F.max_pool2d(measured, 2 * self.reach_px + 1, stride=1, padding=self.reach_px) > 0
+        square = masked_mean((output.depth_m - truth_m).square(), (truth_m > 0) & near, dim=(1, 2, 3))
+        return (square + 1e-6).sqrt() / mean_depth_m(truth_m)  # the root's slope is infinite at 0
+
+
+@dataclass(frozen=True)
+class NearSky:
+    """How much nearer than the farthest return the sky is taken to be, as a logarithm; mean over the sky.
+
+    Where a simulated frame has no true depth, there is sky, or what lies beyond any scanner's range.
+    """
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 where there is no sky."""
+        farthest_m = measurement["depth_m"].amax(dim=(1, 2, 3), keepdim=True)
+        missing = (farthest_m.clamp(min=1e-3) / output.depth_m).log().clamp(min=0)
+        return masked_mean(missing, measurement["truth_depth_m"] == 0, dim=(1, 2, 3))
+
+
+def mean_depth_m(truth_m: Tensor) -> Tensor:
+    """Mean true depth of each image, (B,); 1 where there is none."""
+    mean = masked_mean(truth_m, truth_m > 0, dim=(1, 2, 3))
+    return torch.where(mean > 0, mean, 1)
+
+
+def corner_error_pct(output: JointOutput, measurement: Measurement) -> Tensor:
+    """Mean distance of the corners from where the true affine sends them, in percent of the image's width, (B,)."""
+    height, width = measurement["rgb"].shape[-2:]
+    truth = measurement["truth_affine_rgb_from_depth"]
+    return 100 / width * corner_errors_px(output.affine_rgb_from_depth, truth, (height, width)).mean(dim=-1)
+
+
+def of_pairs(values: Tensor, measurement: Measurement) -> Tensor:
+    """Values (B,) of samples whose colour belongs to their depth, 0 for the others."""
+    return values * measurement["paired"] if "paired" in measurement else values
 
 
 def match_cross_entropy(matches: LocalMatches, truth: Tensor) -> Tensor:

@@ -10,10 +10,11 @@ from lightning.pytorch.utilities.types import OptimizerLRSchedulerConfig
 from torch import Tensor, nn
 from torchmetrics import MeanMetric, MetricCollection
 
+from depthreg.checkpoint import described
 from depthreg.data.sample import FrameBatch, Measurement
 from depthreg.losses import JointLoss
 from depthreg.metrics import DepthMetrics, RegistrationMetrics
-from depthreg.networks import JointNetwork, JointOutput
+from depthreg.networks import JointOutput, Network
 from depthreg.sensors.simulator import SensorSimulator, augment, frame_generators, simulate_each
 
 
@@ -28,7 +29,7 @@ class Stage(L.LightningModule):
 
     Args:
         name: Of the stage; part of the seed, the folder and the log.
-        network: The joint network, shared by all stages.
+        network: Shared by all stages.
         loss: The training loss.
         simulator: Turns frames into measurements on the device.
         learning_rate: Adam's.
@@ -37,6 +38,7 @@ class Stage(L.LightningModule):
         lr_milestones: Shares of the stage's steps after which the learning rate is divided by `lr_divisor`.
         lr_divisor: See `lr_milestones`.
         brightness: Largest relative change of brightness in training.
+        impostor_share: Share of training samples whose colour belongs to another place; see `augment`.
         val_difficulty: Difficulty of validation, in [0, 1].
         seed: First number of every random draw.
     """
@@ -47,7 +49,7 @@ class Stage(L.LightningModule):
     def __init__(
         self,
         name: str,
-        network: JointNetwork,
+        network: Network,
         loss: JointLoss,
         simulator: SensorSimulator,
         learning_rate: float,
@@ -56,19 +58,22 @@ class Stage(L.LightningModule):
         lr_milestones: Sequence[float] = (),
         lr_divisor: float = 3.0,
         brightness: float = 0.2,
+        impostor_share: float = 0.0,
         val_difficulty: float = 1.0,
         seed: int = 0,
     ) -> None:
         super().__init__()
-        if learning_rate <= 0 or weight_decay < 0 or not 0 <= val_difficulty <= 1:
+        shares = {"val_difficulty": val_difficulty, "impostor_share": impostor_share}
+        if learning_rate <= 0 or weight_decay < 0 or not all(0 <= share <= 1 for share in shares.values()):
             raise ValueError(
-                "expected learning_rate > 0, weight_decay >= 0 and val_difficulty in [0, 1], "
-                f"got {learning_rate}, {weight_decay}, {val_difficulty}"
+                f"expected learning_rate > 0, weight_decay >= 0, {' and '.join(shares)} in [0, 1], "
+                f"got {learning_rate}, {weight_decay}, {', '.join(map(str, shares.values()))}"
             )
         self.name, self.network, self.loss, self.simulator = name, network, loss, simulator
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
-        self.brightness, self.val_difficulty, self.seed = brightness, val_difficulty, seed
+        self.brightness, self.impostor_share = brightness, impostor_share
+        self.val_difficulty, self.seed = val_difficulty, seed
         self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
         # Lightning's own means over an epoch are wrong where processes have unequally many frames.
         names = [_logged(name) for name in ("total", *loss.terms)]
@@ -91,7 +96,8 @@ class Stage(L.LightningModule):
         if not self.trainer.training:
             return simulate_each(self.simulator, frames, self.val_difficulty, frame_generators(frames, self.seed))
         generators = frame_generators(frames, self.seed, *self.name.encode(), self.trainer.current_epoch)
-        return augment(simulate_each(self.simulator, frames, self.difficulty, generators), generators, self.brightness)
+        measured = simulate_each(self.simulator, frames, self.difficulty, generators)
+        return augment(measured, generators, self.brightness, self.impostor_share)
 
     def _step(self, batch: Measurement) -> tuple[JointOutput, dict[str, Tensor]]:
         """What the network says, and the losses by the names under which they are logged."""
@@ -153,7 +159,7 @@ class Stage(L.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Record which network and stage these weights belong to, and the epoch's means so far."""
         means = {name: cast(MeanMetric, mean).metric_state for name, mean in self.train_means.items()}
-        checkpoint["depthreg"] = {"network": self.network.config, "stage": self.name, "train_means": means}
+        checkpoint["depthreg"] = {**described(self.network), "stage": self.name, "train_means": means}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Go on with the epoch's means."""

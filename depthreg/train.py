@@ -26,7 +26,7 @@ from depthreg.data.synthetic import SyntheticMeasurements
 from depthreg.devices import check_devices, device_count, is_first_process, strategy
 from depthreg.errors import InputError, RunError
 from depthreg.evaluate import evaluate
-from depthreg.networks import JointNetwork
+from depthreg.networks import Network
 from depthreg.report import MISALIGNED, OURS, SCORES, Results, read_report, rich_table, write_report
 from depthreg.resume import was_requeued
 from depthreg.run_folder import RECORD, finish_stage, is_finished, read_record, start_record, write_record
@@ -100,7 +100,7 @@ def _alone_in(out: Path) -> Iterator[None]:
 def _run(config: DictConfig, out: Path) -> float:
     _quieten()
     L.seed_everything(config.seed, workers=True, verbose=False)
-    network: JointNetwork = build(config.model)
+    network: Network = build(config.model)
     if config.compile:
         network.compile()  # in place: `torch.compile(network)` would rename every weight
     console = Console(quiet=not is_first_process())
@@ -140,7 +140,7 @@ def _note_start(config: DictConfig, out: Path) -> None:
         raise InputError(f"{out} holds a run: expected resume={out}, or another folder")
 
 
-def train_stage(config: DictConfig, entry: Entry, network: JointNetwork, folder: Path, trackers: Trackers) -> None:
+def train_stage(config: DictConfig, entry: Entry, network: Network, folder: Path, trackers: Trackers) -> None:
     """Fit one stage, or the rest of it; its checkpoints, logs and pictures go to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     last = folder / "last.ckpt"
@@ -221,7 +221,7 @@ def _in_a_sentence(error: Exception) -> InputError | RunError | None:
     return None
 
 
-def evaluate_stage(config: DictConfig, entry: Entry, network: JointNetwork, out: Path) -> tuple[int, Results]:
+def evaluate_stage(config: DictConfig, entry: Entry, network: Network, out: Path) -> tuple[int, Results]:
     """Score the network on a stage's validation frames beside the baselines; table and pictures go to `out`.
 
     Returns:

@@ -111,4 +111,5 @@ class Measurement(TypedDict, total=False):
     truth_rgb: Tensor  # (B, 3, H, W), colour on the depth's grid; absent where unknown
     truth_affine_rgb_from_depth: Tensor  # (B, 2, 3); absent where unknown
     truth_parallax_px: Tensor  # (B,), RMS distance that the true affine leaves: 0 where the misalignment is an affine
+    paired: Tensor  # (B,) bool, whether the colour belongs to the depth at all; absent where all does
     name: list[str]  # for messages and pictures

@@ -74,12 +74,13 @@ def upsample_to(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="bilinear", align_corners=False)
 
 
-def nearest_valid(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+def nearest_valid(values: Tensor, valid: Tensor, reach_px: int | None = None) -> tuple[Tensor, Tensor]:
     """The value of the nearest valid pixel, by jump flooding (Rong and Tan, I3D 2006): log2(size) passes of shifts.
 
     Args:
         values: (B, 1, H, W).
         valid: bool, (B, 1, H, W).
+        reach_px: Farther neighbours may stay unfound, which saves passes; a power of 2, the image's size by default.
 
     Returns:
         The values (B, 1, H, W), 0 everywhere for an image without a valid pixel, and the squared distances to them in
@@ -91,7 +92,7 @@ def nearest_valid(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
     seed = torch.where(valid, row * width + column, -1)  # index of the nearest valid pixel found so far
     far = height**2 + width**2
     distance = torch.where(valid, 0, far)
-    step = (1 << (max(height, width) - 1).bit_length()) // 2
+    step = (reach_px or 1 << (max(height, width) - 1).bit_length()) // 2
     while step:
         padded = F.pad(seed, [step] * 4, value=-1)
         for dy in (0, step, 2 * step):

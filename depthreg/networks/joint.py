@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -11,18 +11,10 @@ from torch import Tensor, nn
 from depthreg.geometry import identity_affine, warp_affine
 from depthreg.networks.blocks import conv_norm_gelu, fill_nearest, fill_smoothly
 from depthreg.networks.completion import TinyUNet
-from depthreg.networks.registration import LocalMatches, RegistrationNet
+from depthreg.networks.output import JointOutput, check_inputs
+from depthreg.networks.registration import LocalMatches, RegistrationNet, edge_strength
 
 MAX_CORRECTION = 4.0  # of a filled depth, as a factor; a bound keeps a young network away from near-zero depths
-
-
-class JointOutput(NamedTuple):
-    """What the joint network returns."""
-
-    depth_m: Tensor  # (B, 1, H, W) dense z-depth in metres, within the network's range
-    rgb_aligned: Tensor  # (B, 3, H, W) colour on the depth's grid, 0 where the colour image doesn't reach
-    affine_rgb_from_depth: Tensor  # (B, 2, 3) in pixels
-    matches: list[LocalMatches]  # what registration saw on the way; training learns from it
 
 
 class JointNetwork(nn.Module):
@@ -73,7 +65,7 @@ class JointNetwork(nn.Module):
         }
         self.first_rgb = conv_norm_gelu(3, first_channels)
         self.first_depth = conv_norm_gelu(3, first_channels)
-        self.registration = RegistrationNet(first_channels, registration_widths, registration_hidden, matchers)
+        self.registration = RegistrationNet(first_channels + 2, registration_widths, registration_hidden, matchers)
         self.completion = TinyUNet(1 + 3 * use_rgb, 1, completion_widths, skip_channels=(1 + use_rgb) * first_channels)
         self.min_depth_m, self.max_depth_m = depth_range_m
         self.residual, self.use_rgb = residual, use_rgb
@@ -88,11 +80,8 @@ class JointNetwork(nn.Module):
             depth_m: Sparse z-depth in metres, (B, 1, H, W); 0 where there is no return.
             register: Look for the affine; else it is the identity, and the colour is used as it comes.
         """
+        check_inputs(rgb, depth_m)
         height, width = rgb.shape[-2:]
-        if min(height, width) < 64 or rgb.shape[-2:] != depth_m.shape[-2:]:
-            raise ValueError(
-                f"rgb and depth_m must be of one size, at least 64 x 64, got {tuple(rgb.shape)}, {tuple(depth_m.shape)}"
-            )
         padding = [0, -width % self.stride, 0, -height % self.stride]
         valid = F.pad(depth_m > 0, padding)
         sparse = F.pad(self._to_unit(depth_m), padding) * valid
@@ -100,9 +89,10 @@ class JointNetwork(nn.Module):
         rgb_padded = F.pad(rgb, padding, mode="replicate")
 
         first_depth = self.first_depth(torch.cat([sparse, filled, valid.to(sparse.dtype)], dim=1))
-        affine, matches = identity_affine(len(rgb), device=rgb.device), []
+        matches: list[LocalMatches] = []
+        affine = identity_affine(len(rgb), device=rgb.device, dtype=rgb.dtype)
         if register:
-            affine, matches = self.registration(rgb_padded, filled, self.first_rgb(rgb_padded), first_depth)
+            affine, matches = self._register(rgb_padded, filled, first_depth)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
         known = fill_nearest(sparse, valid) if self.residual else sparse  # a correction sees what it corrects
         if self.use_rgb:
@@ -115,7 +105,12 @@ class JointNetwork(nn.Module):
         else:
             unit = logit.sigmoid()
         depth = self._to_metres(unit)
-        return JointOutput(depth[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches)
+        cropped = depth[..., :height, :width], rgb_aligned[..., :height, :width]
+        return JointOutput(*cropped, affine, matches, torch.ones_like(affine[:, 0, 0]))
+
+    def _register(self, rgb: Tensor, filled: Tensor, first_depth: Tensor) -> tuple[Tensor, list[LocalMatches]]:
+        rgb_features = torch.cat([self.first_rgb(rgb), edge_strength(rgb)], dim=1)
+        return self.registration(rgb_features, torch.cat([first_depth, edge_strength(filled)], dim=1))
 
     def _to_unit(self, depth_m: Tensor) -> Tensor:
         return (depth_m.clamp(self.min_depth_m, self.max_depth_m) / self.min_depth_m).log() / self._log_span

@@ -168,46 +168,43 @@ class RegistrationNet(nn.Module):
     nothing depends on the image's size, unlike a fully connected localisation head (Jaderberg et al., NeurIPS 2015).
 
     Args:
-        first_channels: Channels of each of the two first feature maps.
-        widths: Channels of the tower at strides 2, 4, 8, ...
+        in_channels: Channels of each of the two first feature maps.
+        widths: Channels of the tower at strides 2, 4, 8, ... times `in_stride`.
         hidden: Width of the convolutions that read the correlation.
         matchers: Stride, radius in cells and window in cells of each matcher, coarsest first; without any, the answer
             is the identity.
+        in_stride: Pixels of a cell of the first feature maps.
     """
 
     def __init__(
         self,
-        first_channels: int,
+        in_channels: int,
         widths: Sequence[int],
         hidden: int,
         matchers: Sequence[tuple[int, int, int]],
+        in_stride: int = 1,
     ) -> None:
         super().__init__()
-        self.tower = Tower(first_channels + 2, widths)
-        strides = [2 ** (i + 1) for i in range(len(widths))]
+        self.tower = Tower(in_channels, widths)
+        strides = [in_stride * 2 ** (i + 1) for i in range(len(widths))]
         self.level_of_matcher = [strides.index(stride) for stride, _, _ in matchers]
         self.matchers = nn.ModuleList(
             Matcher(widths[level], hidden, *matcher)
             for level, matcher in zip(self.level_of_matcher, matchers, strict=True)
         )
-        self.stride = strides[-1] if strides else 1
+        self.stride = strides[-1] if strides else in_stride
 
-    def forward(
-        self, rgb: Tensor, depth: Tensor, first_rgb: Tensor, first_depth: Tensor
-    ) -> tuple[Tensor, list[LocalMatches]]:
+    def forward(self, rgb: Tensor, depth: Tensor) -> tuple[Tensor, list[LocalMatches]]:
         """Estimate the affine.
 
         Args:
-            rgb: Colour in [0, 1], (B, 3, H, W), H and W multiples of `stride`.
-            depth: Filled depth, scaled to [0, 1], (B, 1, H, W).
-            first_rgb: First features of the colour, (B, C, H, W).
-            first_depth: First features of the depth, (B, C, H, W).
+            rgb: First features of the colour, (B, C, h, w); h and w times `in_stride` are multiples of `stride`.
+            depth: First features of the depth, (B, C, h, w).
 
         Returns:
             `affine_rgb_from_depth` (B, 2, 3) in pixels, and what each matcher saw.
         """
-        rgb_pyramid = self.tower(torch.cat([first_rgb, edge_strength(rgb)], dim=1))
-        depth_pyramid = self.tower(torch.cat([first_depth, edge_strength(depth)], dim=1))
+        rgb_pyramid, depth_pyramid = self.tower(rgb), self.tower(depth)
         affine = identity_affine(len(rgb), device=rgb.device, dtype=torch.promote_types(rgb.dtype, torch.float32))
         matches = []
         for level, matcher in zip(self.level_of_matcher, self.matchers, strict=True):

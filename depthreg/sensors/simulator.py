@@ -133,13 +133,22 @@ def seeded_generator(*numbers: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(state[0] >> np.uint64(1)))
 
 
-def augment(measurement: Measurement, generators: Sequence[torch.Generator], brightness: float = 0.2) -> Measurement:
+def augment(
+    measurement: Measurement,
+    generators: Sequence[torch.Generator],
+    brightness: float = 0.2,
+    impostor_share: float = 0.0,
+) -> Measurement:
     """Mirror each sample left to right with probability one half, and scale its brightness by up to +-`brightness`.
+
+    An impostor is colour that belongs to another place: its own image, mirrored and rolled half way round. A network
+    has to notice, and to complete the depth by itself.
 
     Args:
         measurement: A batch.
         generators: One for each sample.
         brightness: Largest relative change.
+        impostor_share: Chance of an impostor.
     """
     given = cast(dict[str, Tensor], measurement)
     out = dict(given)
@@ -154,4 +163,10 @@ def augment(measurement: Measurement, generators: Sequence[torch.Generator], bri
     affine, intrinsics = measurement["truth_affine_rgb_from_depth"], measurement["intrinsics"]
     out["truth_affine_rgb_from_depth"] = torch.where(mirrored, flip_affine(affine, width), affine)
     out["intrinsics"] = torch.where(mirrored, flip_intrinsics(intrinsics, width), intrinsics)
+    if impostor_share:
+        lots = torch.stack([torch.rand(2, generator=generator) for generator in generators])
+        impostor, turn = lots[:, 0] < impostor_share, ((0.25 + 0.5 * lots[:, 1]) * width).long().tolist()
+        others = torch.stack([rgb.flip(-1).roll(by, -1) for rgb, by in zip(out["rgb"], turn, strict=True)])
+        out["paired"] = ~impostor.to(others.device)
+        out["rgb"] = torch.where(out["paired"][:, None, None, None], out["rgb"], others)
     return cast(Measurement, out)

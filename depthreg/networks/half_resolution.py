@@ -1,0 +1,149 @@
+"""The released network: registration and completion on cells of 2 x 2 pixels, in relative log-depth."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from depthreg.geometry import exact_product, identity_affine, transform_points, warp_affine
+from depthreg.networks.blocks import conv_norm_gelu
+from depthreg.networks.output import JointOutput, check_inputs
+from depthreg.networks.priors import Priors, find_priors, log_depth
+from depthreg.networks.propagation import PropagationNet
+from depthreg.networks.registration import LocalMatches, RegistrationNet, edge_strength, fit_affine
+
+BOUND = math.log(4.0)  # predictions lie within a quarter of the nearest and four times the farthest return
+
+
+class HalfResolutionNetwork(nn.Module):
+    """Estimates the affine that aligns colour with depth, warps the colour, and completes the depth.
+
+    Depth is seen as its logarithm relative to the image's mean, so the unit doesn't matter: twice the input gives twice
+    the output, exactly up to rounding. Modules: the affine and the trust in it depend on `registration` alone.
+
+    Args:
+        completion_widths: Channels of the completion's U-Net at strides 2, 4, 8, ...
+        dilations: Of the propagation's steps, in cells.
+        registration_widths: Channels of registration at strides 2, 4, 8, ...
+        registration_hidden: Width of the convolutions that read a correlation.
+        matchers: Stride, radius and window of each matcher; see `Matcher`. A stride of 4 at least.
+    """
+
+    def __init__(
+        self,
+        completion_widths: Sequence[int] = (48, 80, 128, 160, 160),
+        dilations: Sequence[int] = (4, 2, 1, 2, 1, 1),
+        registration_widths: Sequence[int] = (32, 64, 96),
+        registration_hidden: int = 96,
+        matchers: Sequence[tuple[int, int, int]] = ((8, 3, 9), (4, 3, 17), (4, 1, 17)),
+    ) -> None:
+        super().__init__()
+        self.config: dict[str, Any] = {  # plain containers, so that a checkpoint can hold it
+            "completion_widths": list(completion_widths),
+            "dilations": list(dilations),
+            "registration_widths": list(registration_widths),
+            "registration_hidden": registration_hidden,
+            "matchers": [list(matcher) for matcher in matchers],
+        }
+        self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers)
+        self.completion = PropagationNet(completion_widths, dilations)
+        self.stride = max(self.completion.stride, self.registration.stride)
+
+    def forward(self, rgb: Tensor, depth_m: Tensor, register: bool = True) -> JointOutput:
+        """Register and complete.
+
+        Args:
+            rgb: Colour in [0, 1], (B, 3, H, W), H and W at least 64.
+            depth_m: Sparse z-depth, (B, 1, H, W), in metres or in any other unit; 0 where there is no return.
+            register: Take the colour as it comes where false.
+        """
+        check_inputs(rgb, depth_m)
+        height, width = rgb.shape[-2:]
+        padding = [0, -width % self.stride, 0, -height % self.stride]
+        # Autocast would round positions and depths to half precision; convolutions alone are asked to.
+        with torch.autocast(rgb.device.type, enabled=False):
+            depth = F.pad(depth_m, padding)
+            rgb_padded = F.pad(rgb, padding, mode="replicate")
+            priors = find_priors(depth)
+            valid = (depth > 0).to(depth.dtype)
+            sparse = (log_depth(depth) - priors.centre) * valid
+        affine, trust, matches = self._register(rgb_padded, priors, register)
+        rgb_aligned, _ = warp_affine(rgb_padded, affine)
+        relative = self.completion(rgb_aligned, trust, sparse, valid, priors)
+        completed = (bounded(relative, sparse, valid) + priors.centre).exp()
+        return JointOutput(completed[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches, trust)
+
+    def _register(self, rgb: Tensor, priors: Priors, register: bool) -> tuple[Tensor, Tensor, list[LocalMatches]]:
+        if register:
+            return self.registration(rgb, priors)
+        return identity_affine(len(rgb), device=rgb.device, dtype=rgb.dtype), rgb.new_ones(len(rgb)), []
+
+
+def bounded(relative: Tensor, sparse: Tensor, valid: Tensor) -> Tensor:
+    """Keep log-depths (B, 1, H, W) near those of the returns, so that none approaches zero or infinity."""
+    inside = valid > 0
+    low = sparse.masked_fill(~inside, torch.inf).amin(dim=(1, 2, 3), keepdim=True) - BOUND
+    high = sparse.masked_fill(~inside, -torch.inf).amax(dim=(1, 2, 3), keepdim=True) + BOUND
+    return torch.minimum(torch.maximum(relative, low), high)
+
+
+class HalfResolutionRegistration(nn.Module):
+    """`RegistrationNet` on cells of 2 x 2 pixels, and how far its answer can be trusted.
+
+    Args:
+        widths: Channels at strides 2, 4, 8, ...
+        hidden: Width of the convolutions that read a correlation.
+        matchers: Stride, radius and window of each; without any, the answer is the identity, trusted.
+    """
+
+    def __init__(self, widths: Sequence[int], hidden: int, matchers: Sequence[tuple[int, int, int]]) -> None:
+        super().__init__()
+        first, *tower = widths
+        self.first_rgb = conv_norm_gelu(12 + 2, first)
+        self.first_depth = conv_norm_gelu(3 + 1 + 1 + 1 + 4, first)
+        self.match = RegistrationNet(first, tower, hidden, matchers, in_stride=2)
+        answer = nn.Linear(32, 1)
+        nn.init.constant_(answer.bias, 2.0)  # trusts until it learns better
+        self.trust = nn.Sequential(nn.Linear(3 * len(matchers), 32), nn.GELU(), answer)
+        self.stride = self.match.stride
+
+    def forward(self, rgb: Tensor, priors: Priors) -> tuple[Tensor, Tensor, list[LocalMatches]]:
+        """Estimate the affine.
+
+        Args:
+            rgb: Colour in [0, 1], (B, 3, H, W), sides multiples of `stride`.
+            priors: The sparse depth, filled.
+
+        Returns:
+            `affine_rgb_from_depth` (B, 2, 3) in pixels, the trust in it (B,) in [0, 1], and what each matcher saw.
+        """
+        _, surface, smooth, _ = priors.candidates.split(1, dim=1)
+        edges_rgb = edge_strength(F.avg_pool2d(rgb, 2))
+        edges_depth = [edge_strength(surface), edge_strength(smooth)]
+        filled = priors.candidates[:, :3]
+        seen = torch.cat([filled, priors.sparse, priors.valid, priors.distance, *edges_depth], dim=1)
+        first_rgb = self.first_rgb(torch.cat([F.pixel_unshuffle(rgb, 2), edges_rgb], dim=1))
+        affine, matches = self.match(first_rgb, self.first_depth(seen))
+        if not matches:
+            return affine, affine.new_ones(len(affine)), matches
+        quality = torch.cat([match_quality(match) for match in matches], dim=1).detach()
+        return affine, self.trust(quality.to(rgb.dtype)).float().sigmoid()[:, 0], matches
+
+
+def match_quality(matches: LocalMatches) -> Tensor:
+    """How sure and how consistent a matcher's regions are, (B, 3): their entropy, their peak, what no affine explains.
+
+    All are relative to the search's size, so that matchers can be compared.
+    """
+    points_px, offsets_px, scores, _ = matches
+    chance = scores.softmax(dim=-1)
+    entropy = -(chance * scores.log_softmax(dim=-1)).sum(dim=-1) / math.log(len(offsets_px))
+    displacements_px = exact_product(chance, offsets_px)
+    places = points_px.expand(len(scores), -1, -1)
+    even = torch.full_like(entropy, 1 / entropy.shape[1])
+    fitted_px = transform_points(fit_affine(points_px, displacements_px, even), places) - places
+    unexplained = (displacements_px - fitted_px).norm(dim=-1) / offsets_px.abs().max()
+    return torch.stack([part.mean(dim=1) for part in (entropy, chance.amax(dim=-1), unexplained)], dim=1)

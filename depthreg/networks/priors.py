@@ -1,0 +1,60 @@
+"""What a sparse depth map says by itself: filled in several ways, none of which is right everywhere."""
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from depthreg.networks.blocks import fill_smoothly, nearest_valid
+
+FAR_FACTOR = 1.5  # the sky, as a multiple of the farthest return
+
+
+class Priors(NamedTuple):
+    """Filled depth of cells of 2 x 2 pixels, as logarithms relative to the image's mean: no unit matters."""
+
+    centre: Tensor  # (B, 1, 1, 1) mean log-depth of the returns
+    candidates: Tensor  # (B, 4, h, w): nearest return, nearest surface, smooth filling, beyond the farthest return
+    sparse: Tensor  # (B, 1, h, w) nearest of a cell's returns, 0 where there is none
+    valid: Tensor  # (B, 1, h, w) 1 where a cell holds a return
+    distance: Tensor  # (B, 1, h, w) log(1 + pixels to the nearest return), at most `REACH_PX`
+
+
+REACH_PX = 128  # farther than this from any return, filling is smooth
+
+
+def log_depth(depth_m: Tensor) -> Tensor:
+    """log(depth), (B, 1, H, W); 0 where there is none."""
+    return torch.where(depth_m > 0, depth_m, 1).log()
+
+
+def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
+    """Fill a sparse depth map.
+
+    A scanner stands beside the camera and so sees past the edges of what is near: where near and far returns mix, the
+    surface is the near one (as IP-Basic has it; Ku et al., CRV 2018).
+
+    Args:
+        depth_m: (B, 1, H, W), sides even, 0 where there is no return, with at least one return an image.
+        surface_window: Side of the neighbourhood in cells, odd, whose nearest surface counts.
+    """
+    full_valid = depth_m > 0
+    logs = log_depth(depth_m)
+    weight = full_valid.to(logs.dtype)
+    count = weight.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
+    centre = (logs * weight).sum(dim=(1, 2, 3), keepdim=True) / count
+    nearness = torch.where(full_valid, centre - logs, -torch.inf)  # so that a maximum is the nearest
+    cells = F.max_pool2d(nearness, 2)
+    valid = cells > -torch.inf
+    sparse = torch.where(valid, -cells, 0)
+    nearest, squared = nearest_valid(sparse, valid, REACH_PX // 2)
+    smooth = fill_smoothly(sparse, valid)
+    distance = 2 * squared.to(logs.dtype).clamp(max=(REACH_PX / 2) ** 2).sqrt()
+    nearest = torch.where(distance < REACH_PX, nearest, smooth)
+    window = F.max_pool2d(cells, surface_window, stride=1, padding=surface_window // 2)
+    surface = torch.where(window > -torch.inf, -window, nearest)
+    far = -nearness.masked_fill(~full_valid, torch.inf).amin(dim=(1, 2, 3), keepdim=True)
+    far = torch.where(far.isfinite(), far, 0) + torch.tensor(FAR_FACTOR).log()
+    candidates = torch.cat([nearest, surface, smooth, far.expand_as(smooth)], dim=1)
+    return Priors(centre, candidates, sparse, valid.to(logs.dtype), (1 + distance).log())

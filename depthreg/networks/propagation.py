@@ -1,0 +1,130 @@
+"""Completion at half resolution: a U-Net chooses among fillings, and learned affinities spread what it is sure of."""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from depthreg.networks.priors import Priors
+
+MAX_CORRECTION = 1.0  # of the chosen filling's log-depth
+
+
+def conv_norm_relu(in_channels: int, out_channels: int, stride: int = 1) -> nn.Sequential:
+    """Convolution, group normalisation (independent of the batch) and ReLU, which is cheap on a CPU."""
+    return nn.Sequential(
+        nn.Conv2d(in_channels, out_channels, 3, stride, padding=1, bias=False),
+        nn.GroupNorm(out_channels // 16, out_channels),
+        nn.ReLU(),
+    )
+
+
+class Residual(nn.Module):
+    """Two convolutions added to their input."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(conv_norm_relu(channels, channels), conv_norm_relu(channels, channels))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, h, w) -> the same."""
+        return x + self.convolutions(x)
+
+
+class UNet(nn.Module):
+    """Residual U-Net whose finest level is its input's.
+
+    Args:
+        in_channels: Channels of the input.
+        widths: Channels of each level, finest first.
+    """
+
+    def __init__(self, in_channels: int, widths: Sequence[int]) -> None:
+        super().__init__()
+        inputs = [in_channels, *widths][:-1]
+        self.encoder = nn.ModuleList(
+            nn.Sequential(conv_norm_relu(i, o, stride=1 if level == 0 else 2), Residual(o))
+            for level, (i, o) in enumerate(zip(inputs, widths, strict=True))
+        )
+        self.up = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in itertools.pairwise(widths))
+        self.decoder = nn.ModuleList(Residual(width) for width in widths[:-1])
+        self.stride = 2 ** (len(widths) - 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, in_channels, h, w), sides multiples of `stride` -> (B, widths[0], h, w)."""
+        features = []
+        for level in self.encoder:
+            x = level(x)
+            features.append(x)
+        x = features.pop()
+        for up, level in zip(reversed(self.up), reversed(self.decoder), strict=True):
+            # A 1x1 convolution commutes with enlarging, and is cheaper before it.
+            fine = features.pop()
+            x = level(fine + F.interpolate(up(x), size=fine.shape[-2:], mode="bilinear", align_corners=False))
+        return x
+
+
+def neighbours(x: Tensor, dilation: int) -> Tensor:
+    """Each cell's 3 x 3 neighbourhood: (B, 1, h, w) -> (B, 9, h, w); the border repeats."""
+    height, width = x.shape[-2:]
+    padded = F.pad(x, [dilation] * 4, mode="replicate")
+    steps = (0, dilation, 2 * dilation)
+    return torch.cat([padded[..., i : i + height, j : j + width] for i in steps for j in steps], dim=1)
+
+
+class PropagationNet(nn.Module):
+    """From aligned colour and a filled sparse depth map to dense log-depth at full resolution.
+
+    All convolutions work on cells of 2 x 2 pixels and coarser, as full-resolution ones cost mostly memory traffic. A U-Net mixes the fillings of each cell and corrects the mixture; then every cell takes a convex mixture of its
+    neighbours', several times, at shrinking distances, while cells with a trusted return keep it (convolutional spatial
+    propagation, Cheng et al., TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels.
+
+    Args:
+        widths: Channels of the U-Net at strides 2, 4, 8, ...
+        dilations: Of the propagation's steps, in cells.
+    """
+
+    def __init__(self, widths: Sequence[int], dilations: Sequence[int]) -> None:
+        super().__init__()
+        self.dilations = tuple(dilations)
+        self.unet = UNet(self.IN_CHANNELS, widths)
+        # Of a cell: candidates, correction, trust in its return, neighbours of each step and of each of 4 pixels; of
+        # a pixel: trust in its return.
+        self.parts = [4, 1, 1, *[9] * len(self.dilations), 36, 4]
+        self.head = nn.Conv2d(widths[0], sum(self.parts), 3, padding=1)
+        nn.init.zeros_(self.head.weight)  # starts as the mean of the fillings, smoothed
+        assert self.head.bias is not None
+        nn.init.zeros_(self.head.bias)
+        self.stride = 2 * self.unet.stride
+
+    IN_CHANNELS = 12 + 1 + 4 + 4 + 4 + 1  # colour, trust in it, candidates, returns and where they are, distance
+
+    def forward(self, rgb: Tensor, trust: Tensor, sparse: Tensor, valid: Tensor, priors: Priors) -> Tensor:
+        """Complete.
+
+        Args:
+            rgb: Aligned colour in [0, 1], (B, 3, H, W), sides multiples of `stride`.
+            trust: In the colour's alignment, in [0, 1], (B,); colour that isn't trusted isn't seen.
+            sparse: Log-depth relative to the image's mean, (B, 1, H, W), 0 where there is no return.
+            valid: 1 where there is a return, (B, 1, H, W).
+            priors: The sparse depth, filled.
+
+        Returns:
+            Log-depth relative to the image's mean, (B, 1, H, W).
+        """
+        seen = trust[:, None, None, None]
+        features = [F.pixel_unshuffle(rgb * seen, 2), seen.expand_as(priors.valid), priors.candidates]
+        features += [F.pixel_unshuffle(sparse, 2), F.pixel_unshuffle(valid, 2), priors.distance]
+        read = self.head(self.unet(torch.cat(features, dim=1))).to(sparse.dtype)
+        mixture, correction, trust_cell, *steps, pixels, trust_pixel = read.split(self.parts, dim=1)
+        depth = (mixture.softmax(dim=1) * priors.candidates).sum(dim=1, keepdim=True)
+        depth = depth + MAX_CORRECTION * (correction / MAX_CORRECTION).tanh()
+        kept = priors.valid * trust_cell.sigmoid()
+        for dilation, affinity in zip(self.dilations, steps, strict=True):
+            depth = torch.lerp(depth, priors.sparse, kept)
+            depth = (affinity.softmax(dim=1) * neighbours(depth, dilation)).sum(dim=1, keepdim=True)
+        weights = pixels.unflatten(1, (9, 4)).softmax(dim=1)
+        dense = F.pixel_shuffle((weights * neighbours(depth, 1)[:, :, None]).sum(dim=1), 2)
+        return torch.lerp(dense, sparse, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
