@@ -15,6 +15,7 @@ from depthreg.data.sample import Measurement
 from depthreg.geometry import compose_affines, corner_errors_px, invert_affine, transform_points, warp_affine
 from depthreg.metrics import masked_mean, masked_ssim
 from depthreg.networks import JointOutput, LocalMatches
+from depthreg.networks.priors import window_max
 
 
 class LossTerm(Protocol):
@@ -168,7 +169,7 @@ class RelativeRmse:
     def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
         """Of each image, (B,); 0 where there is no truth."""
         truth_m, measured = measurement["truth_depth_m"], (measurement["depth_m"] > 0).float()
-        near = F.max_pool2d(measured, 2 * self.reach_px + 1, stride=1, padding=self.reach_px) > 0
+        near = window_max(measured, 2 * self.reach_px + 1) > 0
         square = masked_mean((output.depth_m - truth_m).square(), (truth_m > 0) & near, dim=(1, 2, 3))
         return (square + 1e-6).sqrt() / mean_depth_m(truth_m)  # the root's slope is infinite at 0
 

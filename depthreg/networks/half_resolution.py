@@ -36,9 +36,9 @@ class HalfResolutionNetwork(nn.Module):
         self,
         completion_widths: Sequence[int] = (48, 80, 128, 160, 160),
         dilations: Sequence[int] = (4, 2, 1, 2, 1, 1),
-        registration_widths: Sequence[int] = (32, 64, 96),
+        registration_widths: Sequence[int] = (32, 48, 96),
         registration_hidden: int = 96,
-        matchers: Sequence[tuple[int, int, int]] = ((8, 3, 9), (4, 3, 17), (4, 1, 17)),
+        matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 2, 17)),
     ) -> None:
         super().__init__()
         self.config: dict[str, Any] = {  # plain containers, so that a checkpoint can hold it

@@ -29,6 +29,12 @@ def log_depth(depth_m: Tensor) -> Tensor:
     return torch.where(depth_m > 0, depth_m, 1).log()
 
 
+def window_max(x: Tensor, side: int) -> Tensor:
+    """The maximum of each pixel's neighbourhood, a square of `side` pixels, odd; one axis at a time takes less time."""
+    rows = F.max_pool2d(x, (side, 1), stride=1, padding=(side // 2, 0))
+    return F.max_pool2d(rows, (1, side), stride=1, padding=(0, side // 2))
+
+
 def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     """Fill a sparse depth map.
 
@@ -52,7 +58,7 @@ def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     smooth = fill_smoothly(sparse, valid)
     distance = 2 * squared.to(logs.dtype).clamp(max=(REACH_PX / 2) ** 2).sqrt()
     nearest = torch.where(distance < REACH_PX, nearest, smooth)
-    window = F.max_pool2d(cells, surface_window, stride=1, padding=surface_window // 2)
+    window = window_max(cells, surface_window)
     surface = torch.where(window > -torch.inf, -window, nearest)
     far = -nearness.masked_fill(~full_valid, torch.inf).amin(dim=(1, 2, 3), keepdim=True)
     far = torch.where(far.isfinite(), far, 0) + torch.tensor(FAR_FACTOR).log()
