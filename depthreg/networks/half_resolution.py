@@ -29,7 +29,12 @@ class HalfResolutionNetwork(nn.Module):
         dilations: Of the propagation's steps, in cells.
         registration_widths: Channels of registration at strides 2, 4, 8, ...
         registration_hidden: Width of the convolutions that read a correlation.
-        matchers: Stride, radius and window of each matcher; see `Matcher`. A stride of 4 at least.
+        matchers: Stride, radius and window of each matcher, see `Matcher`; a stride of 4 at least. Without any, colour
+            stays where it is.
+        use_rgb: Let completion see colour; without, it sees depth alone, and there must be no matchers.
+
+    Raises:
+        ValueError: Matchers without colour.
     """
 
     def __init__(
@@ -39,18 +44,25 @@ class HalfResolutionNetwork(nn.Module):
         registration_widths: Sequence[int] = (32, 48, 96),
         registration_hidden: int = 96,
         matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 2, 17)),
+        use_rgb: bool = True,
     ) -> None:
         super().__init__()
+        if matchers and not use_rgb:
+            raise ValueError(f"use_rgb=False leaves nothing to register: expected matchers=[], got {list(matchers)}")
         self.config: dict[str, Any] = {  # plain containers, so that a checkpoint can hold it
             "completion_widths": list(completion_widths),
             "dilations": list(dilations),
             "registration_widths": list(registration_widths),
             "registration_hidden": registration_hidden,
             "matchers": [list(matcher) for matcher in matchers],
+            "use_rgb": use_rgb,
         }
-        self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers)
+        self.registers, self.use_rgb = bool(matchers), use_rgb
+        self.registration = nn.Module()  # that nobody may look for it in vain
+        if matchers:
+            self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers)
         self.completion = PropagationNet(completion_widths, dilations)
-        self.stride = max(self.completion.stride, self.registration.stride)
+        self.stride = max(self.completion.stride, self.registration.stride if matchers else 1)
 
     def forward(self, rgb: Tensor, depth_m: Tensor, register: bool = True) -> JointOutput:
         """Register and complete.
@@ -72,12 +84,12 @@ class HalfResolutionNetwork(nn.Module):
             sparse = (log_depth(depth) - priors.centre) * valid
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        relative = self.completion(rgb_aligned, trust, sparse, valid, priors)
+        relative = self.completion(rgb_aligned, trust * self.use_rgb, sparse, valid, priors)
         completed = (bounded(relative, sparse, valid) + priors.centre).exp()
         return JointOutput(completed[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches, trust)
 
     def _register(self, rgb: Tensor, priors: Priors, register: bool) -> tuple[Tensor, Tensor, list[LocalMatches]]:
-        if register:
+        if register and self.registers:
             return self.registration(rgb, priors)
         return identity_affine(len(rgb), device=rgb.device, dtype=rgb.dtype), rgb.new_ones(len(rgb)), []
 
@@ -96,7 +108,7 @@ class HalfResolutionRegistration(nn.Module):
     Args:
         widths: Channels at strides 2, 4, 8, ...
         hidden: Width of the convolutions that read a correlation.
-        matchers: Stride, radius and window of each; without any, the answer is the identity, trusted.
+        matchers: Stride, radius and window of each.
     """
 
     def __init__(self, widths: Sequence[int], hidden: int, matchers: Sequence[tuple[int, int, int]]) -> None:
@@ -127,8 +139,6 @@ class HalfResolutionRegistration(nn.Module):
         seen = torch.cat([filled, priors.sparse, priors.valid, priors.distance, *edges_depth], dim=1)
         first_rgb = self.first_rgb(torch.cat([F.pixel_unshuffle(rgb, 2), edges_rgb], dim=1))
         affine, matches = self.match(first_rgb, self.first_depth(seen))
-        if not matches:
-            return affine, affine.new_ones(len(affine)), matches
         quality = torch.cat([match_quality(match) for match in matches], dim=1).detach()
         return affine, self.trust(quality.to(rgb.dtype)).float().sigmoid()[:, 0], matches
 
