@@ -11,7 +11,7 @@ import torch
 
 from depthreg.checkpoint import find_checkpoint, load_network, load_weights, read_checkpoint
 from depthreg.errors import InputError
-from depthreg.networks import JointNetwork
+from depthreg.networks import HalfResolutionNetwork, JointNetwork
 
 
 @pytest.fixture
@@ -61,6 +61,12 @@ def test_weights_of_another_model_are_refused_by_naming_the_difference(checkpoin
     with pytest.raises(InputError, match=r"last\.ckpt.*another model.*completion_widths=\[32\].*\[16\]"):
         load_weights(other, checkpoint)
     assert all(torch.equal(a, b) for a, b in zip(before, other.parameters(), strict=True))
+
+
+def test_weights_of_another_architecture_are_refused_by_its_name(checkpoint: Path) -> None:
+    other = HalfResolutionNetwork(completion_widths=(16,), matchers=())
+    with pytest.raises(InputError, match=r"expected architecture=HalfResolutionNetwork.*architecture=JointNetwork"):
+        load_weights(other, checkpoint)
 
 
 class RunsCode:

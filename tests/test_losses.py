@@ -11,7 +11,19 @@ from torch import Tensor
 from depthreg.config import compose_config
 from depthreg.data.sample import Measurement
 from depthreg.geometry import identity_affine, transform_points, warp_affine
-from depthreg.losses import CornerError, DepthL1, Dissimilarity, JointLoss, MatchCrossEntropy, match_cross_entropy
+from depthreg.losses import (
+    CornerError,
+    DepthL1,
+    Dissimilarity,
+    JointLoss,
+    LogDepthL1,
+    MatchCrossEntropy,
+    NearSky,
+    RelativeL1,
+    RelativeRmse,
+    TrustCrossEntropy,
+    match_cross_entropy,
+)
 from depthreg.networks import JointOutput, LocalMatches
 
 SIZE = (41, 57)
@@ -29,7 +41,7 @@ def make_case(
     truth_m = torch.full((1, 1, *SIZE), 10.0)
     truth_m[..., ::2] = 0
     depth_m = torch.where(truth_m > 0, truth_m - 2, 90)
-    output = JointOutput(depth_m, warp_affine(rgb, affine)[0], affine, matches or [])
+    output = JointOutput(depth_m, warp_affine(rgb, affine)[0], affine, matches or [], torch.ones(1))
     measurement = Measurement(rgb=rgb, truth_depth_m=truth_m, truth_rgb=truth_rgb, truth_affine_rgb_from_depth=truth)
     return output, measurement
 
@@ -175,7 +187,7 @@ def test_a_batch_costs_the_mean_of_its_images_however_many_pixels_have_truth() -
     cases[1][1]["truth_depth_m"][..., 5:, :] = 0
     cases[1] = (cases[1][0]._replace(depth_m=cases[1][0].depth_m + 7), cases[1][1])
     together = (
-        JointOutput(*(torch.cat([output[i] for output, _ in cases]) for i in range(3)), []),
+        JointOutput(*(torch.cat([output[i] for output, _ in cases]) for i in range(3)), [], torch.ones(len(cases))),
         Measurement(**{key: torch.cat([measurement[key] for _, measurement in cases]) for key in cases[0][1]}),
     )
     loss = JointLoss(depth=DepthL1(0.9), ssim=Dissimilarity(0.5), corner=CornerError(2), match=MatchCrossEntropy(1))
@@ -188,3 +200,57 @@ def test_a_batch_costs_the_mean_of_its_images_however_many_pixels_have_truth() -
 def test_a_loss_that_teaches_nothing_or_the_wrong_way_is_refused(weights: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="weights must be"):
         JointLoss(**{name: DepthL1(weight) for name, weight in weights.items()})
+
+
+def test_depth_errors_without_a_unit_are_those_of_the_formula() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)  # 8 m predicted for 10 m
+    measurement["depth_m"] = torch.ones_like(output.depth_m)
+    terms = {"log": LogDepthL1(1), "l1": RelativeL1(1), "rmse": RelativeRmse(1)}
+    losses = JointLoss(**terms)(output, measurement)
+    assert losses["log"].item() == pytest.approx(np.log(10 / 8), rel=1e-5)
+    assert losses["l1"].item() == pytest.approx(0.2, rel=1e-5)
+    assert losses["rmse"].item() == pytest.approx(0.2, rel=1e-5)
+    for key in ("truth_depth_m", "depth_m"):
+        measurement[key] = 1000 * measurement[key]
+    in_millimetres = JointLoss(**terms)(output._replace(depth_m=1000 * output.depth_m), measurement)
+    torch.testing.assert_close(in_millimetres, losses, rtol=1e-4, atol=0)
+
+
+def test_squares_count_around_returns_alone() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)
+    measurement["truth_depth_m"] = torch.full((1, 1, *SIZE), 10.0)
+    measurement["depth_m"] = torch.zeros(1, 1, *SIZE)
+    measurement["depth_m"][..., 20, 30] = 10.0
+    depth_m = torch.full((1, 1, *SIZE), 90.0)
+    depth_m[..., 17:24, 27:34] = 11.0  # within 3 px of the return
+    output = output._replace(depth_m=depth_m)
+    assert RelativeRmse(1, reach_px=3)(output, measurement).item() == pytest.approx(0.1, rel=1e-4)
+    assert RelativeRmse(1, reach_px=4)(output, measurement).item() > 1
+
+
+def test_sky_costs_what_it_lacks_to_the_farthest_return() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)  # 90 m in the sky
+    measurement["depth_m"] = torch.zeros(1, 1, *SIZE)
+    measurement["depth_m"][..., 20, 30] = 180.0
+    assert NearSky(1)(output, measurement).item() == pytest.approx(np.log(2), rel=1e-5)
+    measurement["depth_m"][..., 20, 30] = 60.0
+    assert NearSky(1)(output, measurement).item() == 0
+
+
+def test_trust_is_taught_by_whether_the_corners_are_right() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)
+    trusting = output._replace(trust=torch.tensor([0.9]))
+    term = TrustCrossEntropy(1, right_pct=1.0)  # 0.57 px here
+    assert term(trusting, measurement).item() == pytest.approx(-np.log(0.9), rel=1e-5)
+    wrong = make_case(SHIFT + torch.tensor([[[0.0, 0, 1], [0, 0, 0]]]), SHIFT)[0]
+    assert term(wrong._replace(trust=torch.tensor([0.9])), measurement).item() == pytest.approx(-np.log(0.1), rel=1e-5)
+    measurement["paired"] = torch.tensor([False])
+    assert term(trusting, measurement).item() == pytest.approx(-np.log(0.1), rel=1e-5)
+
+
+def test_nothing_is_learned_about_registration_from_colour_of_another_place() -> None:
+    output, measurement = make_case(SHIFT, torch.eye(2, 3)[None])
+    terms = JointLoss(ssim=Dissimilarity(1), corner=CornerError(1))
+    assert terms(output, measurement)["total"] > 1
+    measurement["paired"] = torch.tensor([False])
+    assert terms(output, measurement)["total"] == 0

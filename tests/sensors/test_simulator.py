@@ -265,3 +265,19 @@ def test_brightness_never_leaves_the_unit_range(make_frames: MakeFrames) -> None
     measurement = SensorSimulator(Clean(), 0.0)(frames, 1.0, generator())
     measurement["rgb"] = torch.ones_like(measurement["rgb"])
     assert augment(measurement, frame_generators(frames, 0))["rgb"].max() <= 1
+
+
+def test_an_impostor_is_told_from_a_pair_and_has_the_same_colours_elsewhere(make_frames: MakeFrames) -> None:
+    frames = make_frames(batch=40)
+    measurement = SensorSimulator(Clean(), 0.0)(frames, 1.0, generator())
+    measurement["rgb"] = 0.8 * torch.rand(40, 3, 61, 93, generator=generator(1))
+    plain = augment(measurement, frame_generators(frames, 1))
+    out = augment(measurement, frame_generators(frames, 1), impostor_share=0.5)
+    paired = out["paired"]
+    assert 0.2 < paired.float().mean() < 0.8
+    assert torch.equal(out["rgb"][paired], plain["rgb"][paired])
+    assert torch.equal(out["depth_m"], plain["depth_m"]) and torch.equal(out["truth_rgb"], plain["truth_rgb"])
+    assert (out["rgb"][~paired] != plain["rgb"][~paired]).float().mean() > 0.99
+    ours, theirs = (colour[~paired].sort(dim=-1).values for colour in (out["rgb"], plain["rgb"]))
+    assert torch.equal(ours, theirs)  # a row holds what it held, in another order
+    assert augment(measurement, frame_generators(frames, 1), impostor_share=1.0)["paired"].sum() == 0
