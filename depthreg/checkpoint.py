@@ -54,8 +54,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
         raise InputError(f"{path} is not a readable checkpoint: expected one that `depthreg train` wrote") from error
-    if not isinstance(checkpoint, dict) or "network" not in checkpoint.get("depthreg", {}):
-        raise InputError(f"{path} is a checkpoint of another program: expected one that `depthreg train` wrote")
+    if not (isinstance(checkpoint, dict) and {"architecture", "network"} <= checkpoint.get("depthreg", {}).keys()):
+        raise InputError(
+            f"{path} is a checkpoint of another program or version: expected one that `depthreg train` wrote"
+        )
     return checkpoint
 
 

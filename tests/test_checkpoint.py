@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from depthreg.checkpoint import find_checkpoint, load_network, load_weights, read_checkpoint
+from depthreg.checkpoint import described, find_checkpoint, load_network, load_weights, read_checkpoint
 from depthreg.errors import InputError
 from depthreg.networks import HalfResolutionNetwork, JointNetwork
 
@@ -23,7 +23,7 @@ def checkpoint(tmp_path: Path, make_network: Callable[..., Any]) -> Path:
     torch.save(
         {
             "state_dict": {**state, "loss.other": torch.ones(1)},
-            "depthreg": {"network": network.config, "stage": "full"},
+            "depthreg": {**described(network), "stage": "full"},
             "epoch": 3,
             "global_step": 12,
         },
@@ -88,9 +88,11 @@ def write(kind: str, path: Path) -> None:
         "another program's": lambda: torch.save({"state_dict": {"weight": torch.ones(2)}}, path),
         "a tensor": lambda: torch.save(torch.ones(3), path),
         "no network": lambda: torch.save({"depthreg": {"stage": "full"}, "state_dict": {}}, path),
-        "no weights": lambda: torch.save({"depthreg": {"network": {}, "stage": "full"}, "state_dict": {}}, path),
+        "no weights": lambda: torch.save(
+            {"depthreg": {"architecture": "JointNetwork", "network": {}}, "state_dict": {}}, path
+        ),
         "future network": lambda: torch.save(
-            {"depthreg": {"network": {"depth": 9}, "stage": "full"}, "state_dict": {}}, path
+            {"depthreg": {"architecture": "JointNetwork", "network": {"depth": 9}}, "state_dict": {}}, path
         ),
         "folder": path.mkdir,
         "missing": lambda: None,

@@ -183,7 +183,9 @@ def test_training_refuses_a_file_that_is_not_its_checkpoint(
 
 def test_training_refuses_a_checkpoint_of_another_model(empty_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = empty_folder.parent / "other.ckpt"
-    torch.save({"state_dict": {}, "depthreg": {"network": {"first_channels": 99}, "stage": "joint"}}, path)
+    torch.save(
+        {"state_dict": {}, "depthreg": {"architecture": "JointNetwork", "network": {"first_channels": 99}}}, path
+    )
     said = refusal(["train", f"init_from={path}"], empty_folder, capsys)
     assert "other.ckpt" in said and "another model" in said
 

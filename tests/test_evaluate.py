@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from depthreg.checkpoint import described
 from depthreg.cli import main
 from depthreg.errors import InputError
 from depthreg.evaluate import evaluate
@@ -203,7 +204,7 @@ def here(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["depthreg"])  # Hydra reads it, so the command sets it
     network = JointNetwork(first_channels=8, completion_widths=(16, 16, 16, 16))
     state = {f"network.{key}": value for key, value in network.state_dict().items()}
-    torch.save({"depthreg": {"network": network.config, "stage": "full"}, "state_dict": state}, "net.ckpt")
+    torch.save({"depthreg": described(network), "state_dict": state}, "net.ckpt")
     for folder in ("image", "depth", "truth"):
         (tmp_path / "pairs" / folder).mkdir(parents=True)
         for seed, stem in enumerate(["a", "b"]):

@@ -277,7 +277,7 @@ def test_an_impostor_is_told_from_a_pair_and_has_the_same_colours_elsewhere(make
     assert 0.2 < paired.float().mean() < 0.8
     assert torch.equal(out["rgb"][paired], plain["rgb"][paired])
     assert torch.equal(out["depth_m"], plain["depth_m"]) and torch.equal(out["truth_rgb"], plain["truth_rgb"])
-    assert (out["rgb"][~paired] != plain["rgb"][~paired]).float().mean() > 0.99
+    assert (out["rgb"][~paired] != plain["rgb"][~paired]).float().mean() > 0.98  # one column of 93 may stay
     ours, theirs = (colour[~paired].sort(dim=-1).values for colour in (out["rgb"], plain["rgb"]))
     assert torch.equal(ours, theirs)  # a row holds what it held, in another order
     assert augment(measurement, frame_generators(frames, 1), impostor_share=1.0)["paired"].sum() == 0
