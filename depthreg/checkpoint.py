@@ -1,19 +1,24 @@
 """A stage's checkpoint: writing it whole or not at all, and reading the network out of it."""
 
 import io
+import json
 import os
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from lightning.fabric.plugins import TorchCheckpointIO
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 
 from depthreg.data.io import atomic_write
 from depthreg.errors import InputError, RunError
 from depthreg.networks import HalfResolutionNetwork, JointNetwork, Network
 
 NETWORKS = {network.__name__: network for network in (JointNetwork, HalfResolutionNetwork)}
+PUBLISHED_SUFFIX = ".safetensors"
 _PREFIX = "network."  # of the network's weights in a stage's state
 
 
@@ -86,18 +91,55 @@ def described(network: Network) -> dict[str, Any]:
 
 
 def load_network(path: Path) -> Network:
-    """The network of any stage's checkpoint, on the CPU and in evaluation mode.
+    """The network of any stage's checkpoint, or of published weights, on the CPU and in evaluation mode.
 
     Raises:
-        InputError: See `read_checkpoint`.
+        InputError: See `read_checkpoint` and `read_published`.
     """
-    checkpoint = read_checkpoint(path)
+    if path.suffix == PUBLISHED_SUFFIX:
+        description, weights = read_published(path)
+    else:
+        checkpoint = read_checkpoint(path)
+        description, weights = checkpoint["depthreg"], _weights(checkpoint)
     try:
-        network = NETWORKS[checkpoint["depthreg"]["architecture"]](**checkpoint["depthreg"]["network"])
-        network.load_state_dict(_weights(checkpoint))
+        network = NETWORKS[description["architecture"]](**description["network"])
+        network.load_state_dict(weights)
     except (TypeError, RuntimeError, KeyError) as error:
         raise InputError(f"{path} holds a network that this version of depthreg does not know") from error
     return network.eval()
+
+
+def write_published(path: Path, network: Network, origin: Mapping[str, Any]) -> None:
+    """Write weights alone, in half precision and a format that can't run code (safetensors).
+
+    Args:
+        path: A `.safetensors` file.
+        network: Whose weights.
+        origin: Where they come from, in plain containers.
+    """
+    weights = {key: value.detach().cpu() for key, value in network.state_dict().items()}
+    halves = {
+        key: (value.half() if value.is_floating_point() else value).contiguous() for key, value in weights.items()
+    }
+    with atomic_write(path) as partial:
+        save_file(halves, partial, {"depthreg": json.dumps({**described(network), "origin": dict(origin)})})
+
+
+def read_published(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """What `write_published` wrote: architecture, configuration and origin, and the weights in single precision.
+
+    Raises:
+        InputError: The file is missing, unreadable, or not depthreg's.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: expected weights that `depthreg publish` wrote")
+    try:
+        with safe_open(path, "pt") as file:
+            description = json.loads(file.metadata()["depthreg"])
+            weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118, it isn't a dictionary
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path} holds no readable weights: expected what `depthreg publish` wrote") from error
+    return description, {key: value.float() if value.is_floating_point() else value for key, value in weights.items()}
 
 
 def steps_done(path: Path) -> int:

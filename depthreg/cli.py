@@ -16,6 +16,7 @@ COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
     "complete": "complete and register your own files",
     "gallery": "see what each stage of the curriculum measures",
     "render": "write a data set of a synthetic world",
+    "publish": "write a checkpoint's weights in a small file to share",
     "pack": "put such a data set into tar files to stream from",
 }
 APPLICATIONS = ("train", "evaluate", "gallery", "render")  # Hydra composes them; the others parse their own arguments

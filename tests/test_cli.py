@@ -144,7 +144,7 @@ def test_choices_of_a_users_own_folder_are_found(empty_folder: Path, capsys: pyt
     [
         (["data.widht=96"], "did you mean 'data.width'"),
         (["model=papr"], "expected one of paper"),
-        (["model=3"], "model=3: expected one of paper, small"),
+        (["model=3"], "model=3: expected one of paper, release, small"),
         (["learning_rate=[1"], "[1"),
         (["data.train_count=-3"], "data.train_count=-3"),
         (["data.val_count=0"], "data.val_count=0"),
