@@ -95,10 +95,18 @@ class PropagationNet(nn.Module):
         # a pixel: trust in its return.
         self.parts = [4, 1, 1, *[9] * len(self.dilations), 36, 4]
         self.head = nn.Conv2d(widths[0], sum(self.parts), 3, padding=1)
-        nn.init.zeros_(self.head.weight)  # starts as the mean of the fillings, smoothed
-        assert self.head.bias is not None
-        nn.init.zeros_(self.head.bias)
+        self._start_plainly()
         self.stride = 2 * self.unet.stride
+
+    def _start_plainly(self) -> None:
+        """Before it has learned, the answer is the mean of the fillings but for the sky's; returns are kept."""
+        centre = [2.0 if neighbour == 4 else 0.0 for neighbour in range(9)]
+        fillings, correction, trust = [0.0, 0.0, 0.0, -4.0], [0.0], [2.0]
+        pixels = [weight for weight in centre for _ in range(4)]
+        bias = [*fillings, *correction, *trust, *centre * len(self.dilations), *pixels, *trust * 4]
+        nn.init.zeros_(self.head.weight)
+        assert self.head.bias is not None
+        self.head.bias.data = torch.tensor(bias)
 
     IN_CHANNELS = 12 + 1 + 4 + 4 + 4 + 1  # colour, trust in it, candidates, returns and where they are, distance
 
