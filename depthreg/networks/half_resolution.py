@@ -132,7 +132,7 @@ class HalfResolutionRegistration(nn.Module):
         Returns:
             `affine_rgb_from_depth` (B, 2, 3) in pixels, the trust in it (B,) in [0, 1], and what each matcher saw.
         """
-        _, surface, smooth, _ = priors.candidates.split(1, dim=1)
+        _, surface, smooth, *_ = priors.candidates.split(1, dim=1)
         edges_rgb = edge_strength(F.avg_pool2d(rgb, 2))
         edges_depth = [edge_strength(surface), edge_strength(smooth)]
         filled = priors.candidates[:, :3]

@@ -8,6 +8,15 @@ from torch import Tensor
 
 from depthreg.networks.blocks import fill_smoothly, nearest_valid
 
+FILLINGS = (
+    "nearest return",
+    "nearest surface",
+    "smooth",
+    "above",
+    "below",
+    "plane between both",
+    "beyond the farthest",
+)
 FAR_FACTOR = 1.5  # the sky, as a multiple of the farthest return
 
 
@@ -15,13 +24,14 @@ class Priors(NamedTuple):
     """Filled depth of cells of 2 x 2 pixels, as logarithms relative to the image's mean: no unit matters."""
 
     centre: Tensor  # (B, 1, 1, 1) mean log-depth of the returns
-    candidates: Tensor  # (B, 4, h, w): nearest return, nearest surface, smooth filling, beyond the farthest return
+    candidates: Tensor  # (B, 7, h, w), see `FILLINGS`
     sparse: Tensor  # (B, 1, h, w) nearest of a cell's returns, 0 where there is none
     valid: Tensor  # (B, 1, h, w) 1 where a cell holds a return
     distance: Tensor  # (B, 1, h, w) log(1 + pixels to the nearest return), at most `REACH_PX`
 
 
 REACH_PX = 128  # farther than this from any return, filling is smooth
+UP, DOWN = 1, -1  # where a return lies that a column's next cells see first
 
 
 def log_depth(depth_m: Tensor) -> Tensor:
@@ -33,6 +43,56 @@ def window_max(x: Tensor, side: int) -> Tensor:
     """The maximum of each pixel's neighbourhood, a square of `side` pixels, odd; one axis at a time takes less time."""
     rows = F.max_pool2d(x, (side, 1), stride=1, padding=(side // 2, 0))
     return F.max_pool2d(rows, (1, side), stride=1, padding=(0, side // 2))
+
+
+def fill_columns(values: Tensor, valid: Tensor, otherwise: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The next return above, the next one below, and the plane through both: scan lines lie across the columns.
+
+    The inverse depth of a plane is linear in the image.
+
+    Args:
+        values: Log-depth, (B, 1, h, w).
+        valid: bool, (B, 1, h, w).
+        otherwise: What counts where a column has no return within `REACH_PX`, (B, 1, h, w).
+
+    Returns:
+        (B, 1, h, w) each.
+    """
+    (above, has_above, up), (below, has_below, down) = (next_in_column(values, valid, side) for side in (UP, DOWN))
+    share = up / (up + down).clamp(min=1)
+    plane = -torch.lerp((-above).exp(), (-below).exp(), share).log()
+    above, below = torch.where(has_above, above, otherwise), torch.where(has_below, below, otherwise)
+    return above, below, torch.where(has_above & has_below, plane, torch.where(has_above, above, below))
+
+
+def next_in_column(values: Tensor, valid: Tensor, side: int) -> tuple[Tensor, Tensor, Tensor]:
+    """The first valid cell upwards or downwards, its own included, in ever longer strides: log2(reach) passes.
+
+    Args:
+        values: (B, 1, h, w).
+        valid: bool, (B, 1, h, w).
+        side: `UP` or `DOWN`.
+
+    Returns:
+        Its value, whether there is one within `REACH_PX`, and how many cells away it is, (B, 1, h, w) each.
+    """
+    distance = torch.zeros_like(values)
+    stride = 1
+    while stride < REACH_PX // 2:
+        others = [shifted(part, side * stride) for part in (values, valid, distance + stride)]
+        found = ~valid & others[1]
+        values, distance = torch.where(found, others[0], values), torch.where(found, others[2], distance)
+        valid = valid | found
+        stride *= 2
+    return values, valid, distance
+
+
+def shifted(x: Tensor, rows: int) -> Tensor:
+    """What lies so many rows higher up in (B, 1, h, w), lower down where negative; 0 beyond the border."""
+    height = x.shape[-2]
+    rows = max(-height, min(rows, height))
+    kept = x[..., : height - rows, :] if rows > 0 else x[..., -rows:, :]
+    return F.pad(kept, [0, 0, max(rows, 0), max(-rows, 0)])
 
 
 def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
@@ -62,5 +122,6 @@ def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     surface = torch.where(window > -torch.inf, -window, nearest)
     far = -nearness.masked_fill(~full_valid, torch.inf).amin(dim=(1, 2, 3), keepdim=True)
     far = torch.where(far.isfinite(), far, 0) + torch.tensor(FAR_FACTOR).log()
-    candidates = torch.cat([nearest, surface, smooth, far.expand_as(smooth)], dim=1)
+    between = [nearest, surface, smooth, *fill_columns(sparse, valid, nearest)]
+    candidates = torch.cat([*between, far.expand_as(smooth)], dim=1)
     return Priors(centre, candidates, sparse, valid.to(logs.dtype), (1 + distance).log())

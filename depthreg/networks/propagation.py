@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from depthreg.networks.priors import Priors
+from depthreg.networks.priors import FILLINGS, Priors
 
 MAX_CORRECTION = 1.0  # of the chosen filling's log-depth
 
@@ -93,7 +93,7 @@ class PropagationNet(nn.Module):
         self.unet = UNet(self.IN_CHANNELS, widths)
         # Of a cell: candidates, correction, trust in its return, neighbours of each step and of each of 4 pixels; of
         # a pixel: trust in its return.
-        self.parts = [4, 1, 1, *[9] * len(self.dilations), 36, 4]
+        self.parts = [len(FILLINGS), 1, 1, *[9] * len(self.dilations), 36, 4]
         self.head = nn.Conv2d(widths[0], sum(self.parts), 3, padding=1)
         self._start_plainly()
         self.stride = 2 * self.unet.stride
@@ -101,14 +101,16 @@ class PropagationNet(nn.Module):
     def _start_plainly(self) -> None:
         """Before it has learned, the answer is the mean of the fillings but for the sky's; returns are kept."""
         centre = [2.0 if neighbour == 4 else 0.0 for neighbour in range(9)]
-        fillings, correction, trust = [0.0, 0.0, 0.0, -4.0], [0.0], [2.0]
+        fillings, correction, trust = [0.0] * (len(FILLINGS) - 1) + [-4.0], [0.0], [2.0]
         pixels = [weight for weight in centre for _ in range(4)]
         bias = [*fillings, *correction, *trust, *centre * len(self.dilations), *pixels, *trust * 4]
         nn.init.zeros_(self.head.weight)
         assert self.head.bias is not None
         self.head.bias.data = torch.tensor(bias)
 
-    IN_CHANNELS = 12 + 1 + 4 + 4 + 4 + 1  # colour, trust in it, candidates, returns and where they are, distance
+    IN_CHANNELS = (
+        12 + 1 + len(FILLINGS) + 4 + 4 + 1
+    )  # colour, trust in it, candidates, returns and where they are, distance
 
     def forward(self, rgb: Tensor, trust: Tensor, sparse: Tensor, valid: Tensor, priors: Priors) -> Tensor:
         """Complete.

@@ -51,7 +51,7 @@ def test_a_flat_wall_is_completed_as_a_flat_wall(make_half_resolution: Make, mak
     torch.nn.init.zeros_(network.completion.head.weight)  # untrained, it mixes the fillings
     torch.nn.init.constant_(network.completion.head.bias, 0)
     with torch.no_grad():
-        network.completion.head.bias[3] = -50  # none of the sky
+        network.completion.head.bias[6] = -50  # none of the sky
     wall_m = torch.where(depth_m > 0, 7.0, 0.0)
     torch.testing.assert_close(network(rgb, wall_m).depth_m, torch.full_like(wall_m, 7.0))
 
@@ -86,7 +86,20 @@ def test_fillings_are_the_nearest_return_and_the_nearest_surface() -> None:
     surface = ndimage.minimum_filter(cells, 7, mode="constant", cval=np.inf)
     seen = np.isfinite(surface)
     np.testing.assert_allclose(metres[1][seen], surface[seen], rtol=1e-4)
-    np.testing.assert_allclose(metres[3], FAR_FACTOR * depth_m.max().item(), rtol=1e-4)
+    np.testing.assert_allclose(metres[6], FAR_FACTOR * depth_m.max().item(), rtol=1e-4)
+
+
+def test_a_column_is_filled_from_above_from_below_and_by_the_plane_between() -> None:
+    depth_m = torch.zeros(1, 1, 64, 96)
+    plane_m = 60 / (torch.arange(64.0)[:, None] - 10.5)  # inverse depth is linear in the row
+    depth_m[..., [20, 21, 40, 41], 8] = plane_m[[20, 20, 40, 40]].T
+    priors = find_priors(depth_m)
+    above, below, plane = (priors.candidates + priors.centre).exp()[0, 3:6, :, 4]
+    torch.testing.assert_close(above[10:], plane_m[[20] * 10 + [40] * 12, 0])
+    torch.testing.assert_close(below[:21], plane_m[[20] * 11 + [40] * 10, 0])
+    torch.testing.assert_close(plane[10:21], plane_m[20:41:2, 0])
+    torch.testing.assert_close(plane[21:], plane_m[[40] * 11, 0])  # the one that there is
+    assert (priors.candidates[0, 3, :10, 4] == priors.candidates[0, 0, :10, 4]).all()  # none above: the nearest
 
 
 def test_a_windows_maximum_is_scipys() -> None:
