@@ -1,5 +1,6 @@
 """What the configurations compose to, and how a bad one is refused."""
 
+import itertools
 import re
 from pathlib import Path
 from typing import get_args
@@ -10,9 +11,10 @@ from lightning.fabric.connector import _PRECISION_INPUT_INT, _PRECISION_INPUT_ST
 from lightning.pytorch.accelerators import AcceleratorRegistry
 from omegaconf import OmegaConf
 
+from depthreg.callbacks import FreezeSchedule
 from depthreg.callbacks.difficulty import SHAPES
 from depthreg.checks import CHOICES, check_together
-from depthreg.config import CONF_DIR, compose_config
+from depthreg.config import CONF_DIR, build, compose_config
 from depthreg.errors import InputError
 
 NEEDED = {"train": [], "render": [], "evaluate": ["checkpoint=x", "data.root=x"]}
@@ -249,3 +251,22 @@ def test_an_ablation_changes_what_it_is_named_after_and_nothing_else(name: str) 
         for overrides in ([], [f"experiment=ablation/{name}"])
     )
     assert differences(full, ablation) == CHANGES[name]
+
+
+RUNGS = [f"experiment=ladder/{name}" for name in choices("experiment/ladder")]
+
+
+@pytest.mark.parametrize("chosen", [*RUNGS, "preset=release"])
+def test_a_rung_of_the_ladder_freezes_what_its_network_has_and_trains_for_as_long(chosen: str) -> None:
+    config = compose_config("train", [chosen])
+    network = build(config.model)
+    for stage in config.stages.values():
+        FreezeSchedule(**stage.freeze).check(network)
+    assert sum(config.stages[stage].epochs for stage in config.curriculum) == sum(config.epochs.values())
+
+
+def test_each_rung_of_the_ladder_changes_something() -> None:
+    configs = [OmegaConf.to_container(compose_config("train", [rung]), resolve=True) for rung in RUNGS]
+    changes = [differences(before, after) for before, after in itertools.pairwise(configs)]
+    keys = [{key.split(".")[0] for key in changed} for changed in changes]
+    assert keys == [{"loss"}, {"model"}, {"loss", "model", "stages"}, {"model"}, {"stages"}]

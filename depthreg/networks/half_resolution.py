@@ -41,7 +41,7 @@ class HalfResolutionNetwork(nn.Module):
         self,
         completion_widths: Sequence[int] = (48, 80, 128, 160, 160),
         dilations: Sequence[int] = (4, 2, 1, 2, 1, 1),
-        registration_widths: Sequence[int] = (32, 48, 96),
+        registration_widths: Sequence[int] = (32, 32, 64),
         registration_hidden: int = 96,
         matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 2, 17)),
         use_rgb: bool = True,
