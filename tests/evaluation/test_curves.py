@@ -40,7 +40,7 @@ class Answers(torch.nn.Module):
     def forward(self, rgb, depth_m, register=True):
         self.registered.append(register)
         affine = self.affine if self.affine is not None and register else identity_affine(1)
-        return JointOutput(self.complete(depth_m), rgb, affine, matches=[])
+        return JointOutput(self.complete(depth_m), rgb, affine, matches=[], trust=torch.ones(len(rgb)))
 
 
 def crop_of(plane, depth_m):
