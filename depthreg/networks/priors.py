@@ -1,5 +1,6 @@
 """What a sparse depth map says by itself: filled in several ways, none of which is right everywhere."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -18,6 +19,8 @@ FILLINGS = (
     "beyond the farthest",
 )
 FAR_FACTOR = 1.5  # the sky, as a multiple of the farthest return
+REACH_PX = 128  # farther than this from any return, filling is smooth
+UP, DOWN = 1, -1  # directions in which to look for a return
 
 
 class Priors(NamedTuple):
@@ -30,13 +33,55 @@ class Priors(NamedTuple):
     distance: Tensor  # (B, 1, h, w) log(1 + pixels to the nearest return), at most `REACH_PX`
 
 
-REACH_PX = 128  # farther than this from any return, filling is smooth
-UP, DOWN = 1, -1  # where a return lies that a column's next cells see first
-
-
 def log_depth(depth_m: Tensor) -> Tensor:
     """log(depth), (B, 1, H, W); 0 where there is none."""
     return torch.where(depth_m > 0, depth_m, 1).log()
+
+
+def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
+    """Fill a sparse depth map.
+
+    A scanner stands beside the camera and so sees past the edges of what is near: where near and far returns mix, the
+    surface is the near one (as IP-Basic has it; Ku et al., CRV 2018).
+
+    Args:
+        depth_m: (B, 1, H, W), sides even, 0 where there is no return; of an image without any, nothing follows.
+        surface_window: Side of the neighbourhood in cells, odd, whose nearest surface counts.
+    """
+    centre = mean_log_depth(depth_m)
+    nearness = torch.where(depth_m > 0, centre - log_depth(depth_m), -torch.inf)  # so that a maximum is the nearest
+    cells = F.max_pool2d(nearness, 2)
+    valid = cells > -torch.inf
+    sparse = torch.where(valid, -cells, 0)
+    nearest, smooth, distance_px = fill_around(sparse, valid)
+    around = window_max(cells, surface_window)
+    surface = torch.where(around > -torch.inf, -around, nearest)
+    farthest = log_depth(depth_m.amax(dim=(1, 2, 3), keepdim=True)) - centre
+    sky = (farthest + math.log(FAR_FACTOR)).expand_as(smooth)
+    candidates = torch.cat([nearest, surface, smooth, *fill_columns(sparse, valid, nearest), sky], dim=1)
+    return Priors(centre, candidates, sparse, valid.to(sparse.dtype), (1 + distance_px).log())
+
+
+def mean_log_depth(depth_m: Tensor) -> Tensor:
+    """Mean log-depth of each image's returns, (B, 1, 1, 1); 0 where there is none."""
+    count = (depth_m > 0).sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
+    return log_depth(depth_m).sum(dim=(1, 2, 3), keepdim=True) / count
+
+
+def fill_around(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The nearest return's value, a smooth filling, and how many pixels away the nearest return is.
+
+    Args:
+        values: Of cells, (B, 1, h, w).
+        valid: bool, (B, 1, h, w).
+
+    Returns:
+        (B, 1, h, w) each; beyond `REACH_PX`, the nearest return's value is the smooth filling's.
+    """
+    nearest, squared = nearest_valid(values, valid, REACH_PX // 2)
+    smooth = fill_smoothly(values, valid)
+    distance_px = 2 * squared.to(values.dtype).clamp(max=(REACH_PX / 2) ** 2).sqrt()
+    return torch.where(distance_px < REACH_PX, nearest, smooth), smooth, distance_px
 
 
 def window_max(x: Tensor, side: int) -> Tensor:
@@ -93,35 +138,3 @@ def shifted(x: Tensor, rows: int) -> Tensor:
     rows = max(-height, min(rows, height))
     kept = x[..., : height - rows, :] if rows > 0 else x[..., -rows:, :]
     return F.pad(kept, [0, 0, max(rows, 0), max(-rows, 0)])
-
-
-def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
-    """Fill a sparse depth map.
-
-    A scanner stands beside the camera and so sees past the edges of what is near: where near and far returns mix, the
-    surface is the near one (as IP-Basic has it; Ku et al., CRV 2018).
-
-    Args:
-        depth_m: (B, 1, H, W), sides even, 0 where there is no return, with at least one return an image.
-        surface_window: Side of the neighbourhood in cells, odd, whose nearest surface counts.
-    """
-    full_valid = depth_m > 0
-    logs = log_depth(depth_m)
-    weight = full_valid.to(logs.dtype)
-    count = weight.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
-    centre = (logs * weight).sum(dim=(1, 2, 3), keepdim=True) / count
-    nearness = torch.where(full_valid, centre - logs, -torch.inf)  # so that a maximum is the nearest
-    cells = F.max_pool2d(nearness, 2)
-    valid = cells > -torch.inf
-    sparse = torch.where(valid, -cells, 0)
-    nearest, squared = nearest_valid(sparse, valid, REACH_PX // 2)
-    smooth = fill_smoothly(sparse, valid)
-    distance = 2 * squared.to(logs.dtype).clamp(max=(REACH_PX / 2) ** 2).sqrt()
-    nearest = torch.where(distance < REACH_PX, nearest, smooth)
-    window = window_max(cells, surface_window)
-    surface = torch.where(window > -torch.inf, -window, nearest)
-    far = -nearness.masked_fill(~full_valid, torch.inf).amin(dim=(1, 2, 3), keepdim=True)
-    far = torch.where(far.isfinite(), far, 0) + torch.tensor(FAR_FACTOR).log()
-    between = [nearest, surface, smooth, *fill_columns(sparse, valid, nearest)]
-    candidates = torch.cat([*between, far.expand_as(smooth)], dim=1)
-    return Priors(centre, candidates, sparse, valid.to(logs.dtype), (1 + distance).log())
