@@ -4,7 +4,7 @@ import argparse
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -179,9 +179,8 @@ def complete(network: nn.Module, rgb: Tensor, depth_m: Tensor) -> JointOutput:
     """
     device = next(network.parameters()).device
     output = network(rgb.to(device), depth_m.to(device))
-    return JointOutput(
-        output.depth_m.cpu(), output.rgb_aligned.cpu(), output.affine_rgb_from_depth.cpu(), [], output.trust.cpu()
-    )
+    tensors: dict[str, Any] = {name: part.cpu() for name, part in output._asdict().items() if isinstance(part, Tensor)}
+    return output._replace(matches=[], **tensors)
 
 
 def write_results(folder: Path, sample: Measurement, output: JointOutput, scale: float) -> None:

@@ -175,6 +175,24 @@ class RelativeRmse:
 
 
 @dataclass(frozen=True)
+class ErrorLikelihood:
+    """Negative log-likelihood of the depth's own error, were it Laplacian with the expected error that is claimed.
+
+    It teaches the claim alone, not the depth. The sky has no depth, so an error of a factor e is expected there.
+    """
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,)."""
+        truth_m = measurement["truth_depth_m"]
+        error = (output.depth_m.detach().log() - torch.where(truth_m > 0, truth_m, 1).log()).abs()
+        claimed = output.log_error.clamp(min=1e-4)
+        likelihood = (2 * claimed).log() + torch.where(truth_m > 0, error, 1) / claimed
+        return likelihood.mean(dim=(1, 2, 3))
+
+
+@dataclass(frozen=True)
 class NearSky:
     """How much nearer than the farthest return the sky is taken to be, as a logarithm; mean over the sky.
 

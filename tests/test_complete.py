@@ -43,7 +43,7 @@ class KnownAnswer(nn.Module):
         scene_m[:, :, :8] = 10
         scene_m[:, :, *SPOT] = 150
         affine = torch.tensor([[[1.0, 0, SHIFT_PX[0]], [0, 1, SHIFT_PX[1]]]])
-        return JointOutput(scene_m, warp_affine(rgb, affine)[0], affine, [], torch.ones(len(rgb)))
+        return JointOutput(scene_m, warp_affine(rgb, affine)[0], affine, [], torch.ones(len(rgb)), 0 * scene_m)
 
 
 def _write_depth(path: Path, height: int = HEIGHT, width: int = WIDTH, keep: float = 0.2, seed: int = 0) -> None:

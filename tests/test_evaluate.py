@@ -59,7 +59,7 @@ class Oracle(torch.nn.Module):
     def forward(self, rgb, depth_m):
         rows, columns = ((ours - asked) // 2 for ours, asked in zip(SIZE, depth_m.shape[-2:], strict=True))
         inner = self.depth_m[..., rows : SIZE[0] - rows, columns : SIZE[1] - columns]
-        return JointOutput(inner, rgb, self.affine, matches=[], trust=torch.ones(1))
+        return JointOutput(inner, rgb, self.affine, matches=[], trust=torch.ones(1), log_error=0 * inner)
 
 
 def test_a_misaligned_frame_shows_at_a_of_x_what_the_depth_has_at_x():

@@ -4,7 +4,7 @@ import hydra
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
+from scipy import ndimage, stats
 from skimage.metrics import structural_similarity
 from torch import Tensor
 
@@ -15,6 +15,7 @@ from depthreg.losses import (
     CornerError,
     DepthL1,
     Dissimilarity,
+    ErrorLikelihood,
     JointLoss,
     LogDepthL1,
     MatchCrossEntropy,
@@ -41,7 +42,7 @@ def make_case(
     truth_m = torch.full((1, 1, *SIZE), 10.0)
     truth_m[..., ::2] = 0
     depth_m = torch.where(truth_m > 0, truth_m - 2, 90)
-    output = JointOutput(depth_m, warp_affine(rgb, affine)[0], affine, matches or [], torch.ones(1))
+    output = JointOutput(depth_m, warp_affine(rgb, affine)[0], affine, matches or [], torch.ones(1), 0 * depth_m)
     measurement = Measurement(rgb=rgb, truth_depth_m=truth_m, truth_rgb=truth_rgb, truth_affine_rgb_from_depth=truth)
     return output, measurement
 
@@ -187,7 +188,9 @@ def test_a_batch_costs_the_mean_of_its_images_however_many_pixels_have_truth() -
     cases[1][1]["truth_depth_m"][..., 5:, :] = 0
     cases[1] = (cases[1][0]._replace(depth_m=cases[1][0].depth_m + 7), cases[1][1])
     together = (
-        JointOutput(*(torch.cat([output[i] for output, _ in cases]) for i in range(3)), [], torch.ones(len(cases))),
+        JointOutput(
+            *(torch.cat([output[i] for output, _ in cases]) for i in range(3)), [], torch.ones(len(cases)), None
+        ),
         Measurement(**{key: torch.cat([measurement[key] for _, measurement in cases]) for key in cases[0][1]}),
     )
     loss = JointLoss(depth=DepthL1(0.9), ssim=Dissimilarity(0.5), corner=CornerError(2), match=MatchCrossEntropy(1))
@@ -254,3 +257,15 @@ def test_nothing_is_learned_about_registration_from_colour_of_another_place() ->
     assert terms(output, measurement)["total"] > 1
     measurement["paired"] = torch.tensor([False])
     assert terms(output, measurement)["total"] == 0
+
+
+@pytest.mark.parametrize("claimed", [0.05, 0.2, 0.7])
+def test_a_claimed_error_is_scored_by_the_laplace_density(claimed: float) -> None:
+    output, measurement = make_case(SHIFT, SHIFT)  # 8 m predicted for 10 m
+    measurement["truth_depth_m"] = torch.full((1, 1, *SIZE), 10.0)
+    depth_m = torch.full((1, 1, *SIZE), 8.0, requires_grad=True)
+    claim = torch.full((1, 1, *SIZE), claimed, requires_grad=True)
+    loss = ErrorLikelihood(1)(output._replace(depth_m=depth_m, log_error=claim), measurement)
+    assert loss.item() == pytest.approx(-stats.laplace.logpdf(np.log(10 / 8), scale=claimed), rel=1e-4)
+    loss.sum().backward()
+    assert depth_m.grad is None and (claim.grad.sum() > 0) == (claimed > np.log(10 / 8))  # towards what it is

@@ -126,7 +126,7 @@ def test_a_sample_panel_is_wide_enough_to_read(size, with_truth):
     rgb = torch.rand(2, 3, *size, generator=generator)
     truth_m = torch.full((2, 1, *size), 20.0)
     sparse_m = truth_m * (torch.rand(truth_m.shape, generator=generator) < 0.05)
-    output = JointOutput(truth_m + 1, rgb, identity_affine(2), [], torch.ones(2))
+    output = JointOutput(truth_m + 1, rgb, identity_affine(2), [], torch.ones(2), truth_m)
     picture = viz.sample_panel(rgb, sparse_m, output, truth_m if with_truth else None, index=1)
     assert picture.dtype == np.uint8 and 800 < picture.shape[1] < 1700
     plain = viz.sample_panel(rgb, sparse_m, output, None, index=1)

@@ -84,9 +84,10 @@ class HalfResolutionNetwork(nn.Module):
             sparse = (log_depth(depth) - priors.centre) * valid
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        relative = self.completion(rgb_aligned, trust * self.use_rgb, sparse, valid, priors)
+        relative, log_error = self.completion(rgb_aligned, trust * self.use_rgb, sparse, valid, priors)
         completed = (bounded(relative, sparse, valid) + priors.centre).exp()
-        return JointOutput(completed[..., :height, :width], rgb_aligned[..., :height, :width], affine, matches, trust)
+        completed, rgb_aligned, log_error = (x[..., :height, :width] for x in (completed, rgb_aligned, log_error))
+        return JointOutput(completed, rgb_aligned, affine, matches, trust, log_error)
 
     def _register(self, rgb: Tensor, priors: Priors, register: bool) -> tuple[Tensor, Tensor, list[LocalMatches]]:
         if register and self.registers:

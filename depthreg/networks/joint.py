@@ -106,7 +106,8 @@ class JointNetwork(nn.Module):
             unit = logit.sigmoid()
         depth = self._to_metres(unit)
         cropped = depth[..., :height, :width], rgb_aligned[..., :height, :width]
-        return JointOutput(*cropped, affine, matches, torch.ones_like(affine[:, 0, 0]))
+        unknown = torch.full_like(cropped[0], torch.nan)
+        return JointOutput(*cropped, affine, matches, torch.ones_like(affine[:, 0, 0]), unknown)
 
     def _register(self, rgb: Tensor, filled: Tensor, first_depth: Tensor) -> tuple[Tensor, list[LocalMatches]]:
         rgb_features = torch.cat([self.first_rgb(rgb), edge_strength(rgb)], dim=1)

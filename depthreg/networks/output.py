@@ -15,6 +15,7 @@ class JointOutput(NamedTuple):
     affine_rgb_from_depth: Tensor  # (B, 2, 3) in pixels
     matches: list[LocalMatches]  # what registration saw on the way; training learns from it
     trust: Tensor  # (B,) in [0, 1], how likely the affine is right; 1 from a network that can't tell
+    log_error: Tensor  # (B, 1, H, W) expected absolute error of log(depth); NaN from a network that can't tell
 
 
 def check_inputs(rgb: Tensor, depth_m: Tensor) -> None:

@@ -91,9 +91,9 @@ class PropagationNet(nn.Module):
         super().__init__()
         self.dilations = tuple(dilations)
         self.unet = UNet(self.IN_CHANNELS, widths)
-        # Of a cell: candidates, correction, trust in its return, neighbours of each step and of each of 4 pixels; of
-        # a pixel: trust in its return.
-        self.parts = [len(FILLINGS), 1, 1, *[9] * len(self.dilations), 36, 4]
+        # Of a cell: candidates, correction, trust in its return, neighbours of each step; of each of its 4 pixels:
+        # neighbours, trust in its return, expected error.
+        self.parts = [len(FILLINGS), 1, 1, *[9] * len(self.dilations), 36, 4, 4]
         self.head = nn.Conv2d(widths[0], sum(self.parts), 3, padding=1)
         self._start_plainly()
         self.stride = 2 * self.unet.stride
@@ -103,7 +103,7 @@ class PropagationNet(nn.Module):
         centre = [2.0 if neighbour == 4 else 0.0 for neighbour in range(9)]
         fillings, correction, trust = [0.0] * (len(FILLINGS) - 1) + [-4.0], [0.0], [2.0]
         pixels = [weight for weight in centre for _ in range(4)]
-        bias = [*fillings, *correction, *trust, *centre * len(self.dilations), *pixels, *trust * 4]
+        bias = [*fillings, *correction, *trust, *centre * len(self.dilations), *pixels, *trust * 4, *[-2.0] * 4]
         nn.init.zeros_(self.head.weight)
         assert self.head.bias is not None
         self.head.bias.data = torch.tensor(bias)
@@ -112,7 +112,9 @@ class PropagationNet(nn.Module):
         12 + 1 + len(FILLINGS) + 4 + 4 + 1
     )  # colour, trust in it, candidates, returns and where they are, distance
 
-    def forward(self, rgb: Tensor, trust: Tensor, sparse: Tensor, valid: Tensor, priors: Priors) -> Tensor:
+    def forward(
+        self, rgb: Tensor, trust: Tensor, sparse: Tensor, valid: Tensor, priors: Priors
+    ) -> tuple[Tensor, Tensor]:
         """Complete.
 
         Args:
@@ -123,13 +125,13 @@ class PropagationNet(nn.Module):
             priors: The sparse depth, filled.
 
         Returns:
-            Log-depth relative to the image's mean, (B, 1, H, W).
+            Log-depth relative to the image's mean, and its expected absolute error, (B, 1, H, W) each.
         """
         seen = trust[:, None, None, None]
         features = [F.pixel_unshuffle(rgb * seen, 2), seen.expand_as(priors.valid), priors.candidates]
         features += [F.pixel_unshuffle(sparse, 2), F.pixel_unshuffle(valid, 2), priors.distance]
         read = self.head(self.unet(torch.cat(features, dim=1))).to(sparse.dtype)
-        mixture, correction, trust_cell, *steps, pixels, trust_pixel = read.split(self.parts, dim=1)
+        mixture, correction, trust_cell, *steps, pixels, trust_pixel, error = read.split(self.parts, dim=1)
         depth = (mixture.softmax(dim=1) * priors.candidates).sum(dim=1, keepdim=True)
         depth = depth + MAX_CORRECTION * (correction / MAX_CORRECTION).tanh()
         kept = priors.valid * trust_cell.sigmoid()
@@ -138,4 +140,5 @@ class PropagationNet(nn.Module):
             depth = (affinity.softmax(dim=1) * neighbours(depth, dilation)).sum(dim=1, keepdim=True)
         weights = pixels.unflatten(1, (9, 4)).softmax(dim=1)
         dense = F.pixel_shuffle((weights * neighbours(depth, 1)[:, :, None]).sum(dim=1), 2)
-        return torch.lerp(dense, sparse, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
+        dense = torch.lerp(dense, sparse, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
+        return dense, F.softplus(F.pixel_shuffle(error, 2))

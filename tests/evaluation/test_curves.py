@@ -40,7 +40,9 @@ class Answers(torch.nn.Module):
     def forward(self, rgb, depth_m, register=True):
         self.registered.append(register)
         affine = self.affine if self.affine is not None and register else identity_affine(1)
-        return JointOutput(self.complete(depth_m), rgb, affine, matches=[], trust=torch.ones(len(rgb)))
+        return JointOutput(
+            self.complete(depth_m), rgb, affine, matches=[], trust=torch.ones(len(rgb)), log_error=0 * depth_m
+        )
 
 
 def crop_of(plane, depth_m):

@@ -33,6 +33,8 @@ def test_twice_the_depth_in_gives_twice_the_depth_out(
     network, (rgb, depth_m) = make_half_resolution(), make_input()
     metres, other = network(rgb, depth_m), network(rgb, unit * depth_m)
     torch.testing.assert_close(other.depth_m, unit * metres.depth_m, rtol=1e-4, atol=0)
+    torch.testing.assert_close(other.log_error, metres.log_error, rtol=1e-3, atol=0)
+    assert metres.log_error.shape == metres.depth_m.shape and metres.log_error.min() > 0
     torch.testing.assert_close(other.affine_rgb_from_depth, metres.affine_rgb_from_depth, rtol=1e-3, atol=1e-3)
 
 
