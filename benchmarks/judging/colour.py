@@ -10,7 +10,6 @@ from torch import nn
 from depthreg.data.sample import Measurement
 from depthreg.evaluation.scores import run_network
 from depthreg.metrics import depth_errors
-from depthreg.networks import JointOutput
 from judging.table import Row
 
 Progress = Callable[[Iterable, str], Iterable]
@@ -28,22 +27,16 @@ def colours(frame: Measurement, other: Measurement) -> dict[str, torch.Tensor]:
 def measure(
     network: nn.Module, frames: Sequence[Measurement], others: Sequence[Measurement], progress: Progress
 ) -> list[dict[str, tuple[float, float]]]:
-    """For each frame and colour: RMSE in metres, and the trust in the registration, NaN where the network says none."""
+    """For each frame and colour: RMSE in metres, and the trust in the registration."""
     found = []
     for frame, other in progress(list(zip(frames, others, strict=True)), "another frame's colour"):
         scores = {}
         for name, rgb in colours(frame, other).items():
             output = run_network(network, Measurement(**{**frame, "rgb": rgb}))
             rmse_m = depth_errors(output.depth_m, frame["truth_depth_m"])[0, 0].item()
-            scores[name] = (rmse_m, trust(output))
+            scores[name] = (rmse_m, output.trust.item())
         found.append(scores)
     return found
-
-
-def trust(output: JointOutput) -> float:
-    """How sure the network is of a batch of one's registration, in [0, 1]; NaN where it doesn't say."""
-    said = getattr(output, "trust", None)
-    return float("nan") if said is None else float(said.reshape(-1)[0])
 
 
 def rows(found: Sequence[dict[str, tuple[float, float]]]) -> list[Row]:
