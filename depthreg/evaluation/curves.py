@@ -68,7 +68,7 @@ def frame_errors(
     too small to cut the misalignment's margin off has no errors over it.
 
     Args:
-        network: A `JointNetwork`, on whatever device.
+        network: Any of `depthreg.networks`, on whatever device.
         aligned: A batch of one, whose colour lines up with its depth.
         max_corner_shift_px: Where the misalignment ends, for an image 1242 pixels wide.
         seed: Of what is drawn; the frame's own.

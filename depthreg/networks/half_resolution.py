@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from depthreg.geometry import exact_product, identity_affine, transform_points, warp_affine
 from depthreg.networks.blocks import conv_norm_gelu
 from depthreg.networks.output import JointOutput, check_inputs
-from depthreg.networks.priors import Priors, find_priors, log_depth
+from depthreg.networks.priors import Priors, find_priors
 from depthreg.networks.propagation import PropagationNet
 from depthreg.networks.registration import LocalMatches, RegistrationNet, edge_strength, fit_affine
 
@@ -81,11 +81,10 @@ class HalfResolutionNetwork(nn.Module):
             rgb_padded = F.pad(rgb, padding, mode="replicate")
             priors = find_priors(depth)
             valid = (depth > 0).to(depth.dtype)
-            sparse = (log_depth(depth) - priors.centre) * valid
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        relative, log_error = self.completion(rgb_aligned, trust * self.use_rgb, sparse, valid, priors)
-        completed = (bounded(relative, sparse, valid) + priors.centre).exp()
+        relative, log_error = self.completion(rgb_aligned, trust * self.use_rgb, valid, priors)
+        completed = (bounded(relative, priors.returns, valid) + priors.centre).exp()
         completed, rgb_aligned, log_error = (x[..., :height, :width] for x in (completed, rgb_aligned, log_error))
         return JointOutput(completed, rgb_aligned, affine, matches, trust, log_error)
 

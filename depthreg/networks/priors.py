@@ -27,15 +27,11 @@ class Priors(NamedTuple):
     """Filled depth of cells of 2 x 2 pixels, as logarithms relative to the image's mean: no unit matters."""
 
     centre: Tensor  # (B, 1, 1, 1) mean log-depth of the returns
+    returns: Tensor  # (B, 1, H, W) of the pixels themselves, 0 where there is no return
     candidates: Tensor  # (B, 7, h, w), see `FILLINGS`
     sparse: Tensor  # (B, 1, h, w) nearest of a cell's returns, 0 where there is none
     valid: Tensor  # (B, 1, h, w) 1 where a cell holds a return
     distance: Tensor  # (B, 1, h, w) log(1 + pixels to the nearest return), at most `REACH_PX`
-
-
-def log_depth(depth_m: Tensor) -> Tensor:
-    """log(depth), (B, 1, H, W); 0 where there is none."""
-    return torch.where(depth_m > 0, depth_m, 1).log()
 
 
 def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
@@ -45,27 +41,23 @@ def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     surface is the near one (as IP-Basic has it; Ku et al., CRV 2018).
 
     Args:
-        depth_m: (B, 1, H, W), sides even, 0 where there is no return; of an image without any, nothing follows.
+        depth_m: (B, 1, H, W), sides even, 0 where there is no return. Without any, all is finite and says nothing.
         surface_window: Side of the neighbourhood in cells, odd, whose nearest surface counts.
     """
-    centre = mean_log_depth(depth_m)
-    nearness = torch.where(depth_m > 0, centre - log_depth(depth_m), -torch.inf)  # so that a maximum is the nearest
-    cells = F.max_pool2d(nearness, 2)
+    known = depth_m > 0
+    logs = torch.where(known, depth_m, 1).log()
+    centre = logs.sum(dim=(1, 2, 3), keepdim=True) / known.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
+    returns = (logs - centre) * known
+    cells = F.max_pool2d(torch.where(known, -returns, -torch.inf), 2)  # negative: a maximum is the nearest
     valid = cells > -torch.inf
     sparse = torch.where(valid, -cells, 0)
     nearest, smooth, distance_px = fill_around(sparse, valid)
     around = window_max(cells, surface_window)
     surface = torch.where(around > -torch.inf, -around, nearest)
-    farthest = log_depth(depth_m.amax(dim=(1, 2, 3), keepdim=True)) - centre
+    farthest = returns.amax(dim=(1, 2, 3), keepdim=True)  # at least the mean's 0
     sky = (farthest + math.log(FAR_FACTOR)).expand_as(smooth)
     candidates = torch.cat([nearest, surface, smooth, *fill_columns(sparse, valid, nearest), sky], dim=1)
-    return Priors(centre, candidates, sparse, valid.to(sparse.dtype), (1 + distance_px).log())
-
-
-def mean_log_depth(depth_m: Tensor) -> Tensor:
-    """Mean log-depth of each image's returns, (B, 1, 1, 1); 0 where there is none."""
-    count = (depth_m > 0).sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
-    return log_depth(depth_m).sum(dim=(1, 2, 3), keepdim=True) / count
+    return Priors(centre, returns, candidates, sparse, valid.to(sparse.dtype), (1 + distance_px).log())
 
 
 def fill_around(values: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor]:

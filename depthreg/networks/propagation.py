@@ -112,15 +112,12 @@ class PropagationNet(nn.Module):
         12 + 1 + len(FILLINGS) + 4 + 4 + 1
     )  # colour, trust in it, candidates, returns and where they are, distance
 
-    def forward(
-        self, rgb: Tensor, trust: Tensor, sparse: Tensor, valid: Tensor, priors: Priors
-    ) -> tuple[Tensor, Tensor]:
+    def forward(self, rgb: Tensor, trust: Tensor, valid: Tensor, priors: Priors) -> tuple[Tensor, Tensor]:
         """Complete.
 
         Args:
             rgb: Aligned colour in [0, 1], (B, 3, H, W), sides multiples of `stride`.
             trust: In the colour's alignment, in [0, 1], (B,); colour that isn't trusted isn't seen.
-            sparse: Log-depth relative to the image's mean, (B, 1, H, W), 0 where there is no return.
             valid: 1 where there is a return, (B, 1, H, W).
             priors: The sparse depth, filled.
 
@@ -129,8 +126,8 @@ class PropagationNet(nn.Module):
         """
         seen = trust[:, None, None, None]
         features = [F.pixel_unshuffle(rgb * seen, 2), seen.expand_as(priors.valid), priors.candidates]
-        features += [F.pixel_unshuffle(sparse, 2), F.pixel_unshuffle(valid, 2), priors.distance]
-        read = self.head(self.unet(torch.cat(features, dim=1))).to(sparse.dtype)
+        features += [F.pixel_unshuffle(priors.returns, 2), F.pixel_unshuffle(valid, 2), priors.distance]
+        read = self.head(self.unet(torch.cat(features, dim=1))).to(valid.dtype)
         mixture, correction, trust_cell, *steps, pixels, trust_pixel, error = read.split(self.parts, dim=1)
         depth = (mixture.softmax(dim=1) * priors.candidates).sum(dim=1, keepdim=True)
         depth = depth + MAX_CORRECTION * (correction / MAX_CORRECTION).tanh()
@@ -140,5 +137,5 @@ class PropagationNet(nn.Module):
             depth = (affinity.softmax(dim=1) * neighbours(depth, dilation)).sum(dim=1, keepdim=True)
         weights = pixels.unflatten(1, (9, 4)).softmax(dim=1)
         dense = F.pixel_shuffle((weights * neighbours(depth, 1)[:, :, None]).sum(dim=1), 2)
-        dense = torch.lerp(dense, sparse, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
+        dense = torch.lerp(dense, priors.returns, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
         return dense, F.softplus(F.pixel_shuffle(error, 2))

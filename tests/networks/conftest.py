@@ -1,5 +1,6 @@
 """The networks that users can choose, as small as they get."""
 
+import functools
 from collections.abc import Callable
 
 import pytest
@@ -47,9 +48,14 @@ def _make_input(batch: int = 2, size: tuple[int, int] = (65, 97)) -> tuple[Tenso
     return rgb, depth_m * (torch.rand(depth_m.shape, generator=generator) < 0.2)
 
 
-@pytest.fixture(params=[joint_network, half_resolution_network], ids=["joint", "half_resolution"])
+CORRECTING = functools.partial(joint_network, residual=True)
+
+
+@pytest.fixture(
+    params=[joint_network, CORRECTING, half_resolution_network], ids=["joint", "joint, correcting", "half_resolution"]
+)
 def make_any(request: pytest.FixtureRequest) -> Callable[..., Network]:
-    """Makes a network of either kind."""
+    """Makes a network of each kind."""
     make: Callable[..., Network] = request.param
     return make
 
