@@ -4,25 +4,18 @@ import argparse
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from torch import Tensor, nn
 
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import find_checkpoint
 from depthreg.data import io
-from depthreg.data.sample import Measurement
 from depthreg.errors import ArgumentParser, InputError
-from depthreg.geometry import decompose_affine, unproject, warp_affine
-from depthreg.networks import JointOutput
-from depthreg.viz import sample_panel, to_picture
-
-MIN_SIDE_PX = 64  # the smallest picture that the network takes
+from depthreg.model import MIN_SIDE_PX, load
 
 
 class Pair(NamedTuple):
@@ -43,17 +36,17 @@ def main(argv: Sequence[str]) -> int:
     checkpoint = find_checkpoint(args.checkpoint)
     for pair in pairs:
         read_pair(pair, args.depth_scale)
-    network = load_network(checkpoint).to(device).eval()
+    model = load(checkpoint, device)
 
     facts = []
     with io.atomic_folder(args.out) as folder:
         for pair in _progress(pairs):
-            sample = read_pair(pair, args.depth_scale, intrinsics)
+            rgb, depth_m = read_pair(pair, args.depth_scale)
             start = time.perf_counter()
-            output = complete(network, sample["rgb"], sample["depth_m"])
+            result = model(rgb, depth_m, intrinsics)
             seconds = time.perf_counter() - start
-            write_results(folder / pair.stem if args.rgb.is_dir() else folder, sample, output, args.depth_scale)
-            facts.append({"seconds": seconds, **_describe(sample["depth_m"], output)})
+            result.save(folder / pair.stem if args.rgb.is_dir() else folder, args.depth_scale)
+            facts.append({"seconds": seconds, **result.describe()})
     Console().print(_summary(facts, args.out, args.depth_scale, checkpoint))
     return 0
 
@@ -62,8 +55,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = ArgumentParser(
         prog="depthreg complete",
         description="Align colour with sparse depth and complete the depth.",
-        epilog="Writes depth.npy (metres), depth.png, rgb_aligned.png, affine.json, panel.png and, with "
-        "--intrinsics, cloud.ply. RGB and DEPTH may be two folders of files of the same names: then each "
+        epilog="Writes depth.npy (metres), depth.png, confidence.png, rgb_aligned.png, affine.json, panel.png and, "
+        "with --intrinsics, cloud.ply. RGB and DEPTH may be two folders of files of the same names: then each "
         "pair gets a subfolder.",
     )
     add = parser.add_argument
@@ -139,8 +132,8 @@ def _by_stem(folder: Path, suffixes: Sequence[str]) -> dict[str, Path]:
     return found
 
 
-def read_pair(pair: Pair, scale: float, intrinsics: np.ndarray | None = None) -> Measurement:
-    """Read a pair as a batch of one; `scale` is the depth file's stored value per metre.
+def read_pair(pair: Pair, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Colour (H, W, 3) uint8 and depth (H, W) metres of a pair; `scale` is the depth file's stored value per metre.
 
     Raises:
         InputError: A file that can't be used, sizes that differ, or pictures that are too small.
@@ -151,97 +144,11 @@ def read_pair(pair: Pair, scale: float, intrinsics: np.ndarray | None = None) ->
         raise InputError(f"{pair.rgb} is {rgb_size} but {pair.depth} is {depth_size}: one size was expected")
     if min(depth_m.shape) < MIN_SIDE_PX:
         raise InputError(f"{pair.rgb} is {rgb_size}: at least {MIN_SIDE_PX}x{MIN_SIDE_PX} was expected")
-    sample = Measurement(
-        rgb=torch.from_numpy(rgb).permute(2, 0, 1)[None].float() / 255,
-        depth_m=torch.from_numpy(depth_m)[None, None],
-        name=[pair.stem],
-    )
-    if intrinsics is not None:
-        sample["intrinsics"] = torch.from_numpy(intrinsics)[None]
-    return sample
+    return rgb, depth_m
 
 
 def _progress(pairs: Sequence[Pair]) -> Iterable[Pair]:
     return track(pairs, "Completing", console=Console(stderr=True), transient=True, disable=len(pairs) == 1)
-
-
-@torch.inference_mode()
-def complete(network: nn.Module, rgb: Tensor, depth_m: Tensor) -> JointOutput:
-    """Align colour with depth and complete the depth.
-
-    Args:
-        network: Any of `depthreg.networks` in evaluation mode, on whatever device.
-        rgb: Colour in [0, 1], (B, 3, H, W).
-        depth_m: Sparse z-depth, (B, 1, H, W) metres, 0 = none.
-
-    Returns:
-        The network's output on the CPU, without `matches`, which only training needs.
-    """
-    device = next(network.parameters()).device
-    output = network(rgb.to(device), depth_m.to(device))
-    tensors: dict[str, Any] = {name: part.cpu() for name, part in output._asdict().items() if isinstance(part, Tensor)}
-    return output._replace(matches=[], **tensors)
-
-
-def write_results(folder: Path, sample: Measurement, output: JointOutput, scale: float) -> None:
-    """Write into a folder, made if need be, all that `depthreg complete` writes for a batch of one."""
-    folder.mkdir(exist_ok=True)
-    completed_m = output.depth_m[0, 0].numpy()
-    height, width = completed_m.shape
-    affine = output.affine_rgb_from_depth[0].tolist()
-    io.write_npy(folder / "depth.npy", completed_m)
-    io.write_depth_png(folder / "depth.png", completed_m, scale)
-    io.write_png(folder / "rgb_aligned.png", to_picture(output.rgb_aligned[0]))
-    io.write_json(folder / "affine.json", {"affine_rgb_from_depth": affine, "width": width, "height": height})
-    io.write_png(folder / "panel.png", sample_panel(sample["rgb"], sample["depth_m"], output))
-    if "intrinsics" in sample:
-        io.write_ply(folder / "cloud.ply", *colored_cloud(sample, output))
-
-
-def colored_cloud(sample: Measurement, output: JointOutput) -> tuple[np.ndarray, np.ndarray]:
-    """The completed depth as points, where it has a colour and can be believed.
-
-    Believable is what lies between the returns: inside their convex hull in the image and within their range
-    of depths, give or take 5 %. The sky above a LiDAR's highest beam is not.
-
-    Args:
-        sample: A batch of one, with intrinsics.
-        output: What the network made of it.
-
-    Returns:
-        Points (N, 3) float32 in camera coordinates, metres, and their colours (N, 3) uint8.
-    """
-    sparse_m, completed_m = sample["depth_m"][0, 0], output.depth_m[0, 0]
-    returns_m = sparse_m[sparse_m > 0]
-    in_range = (completed_m >= 0.95 * returns_m.min()) & (completed_m <= 1.05 * returns_m.max())
-    _, seen = warp_affine(sample["rgb"], output.affine_rgb_from_depth)
-    kept = (seen[0, 0] & in_range).numpy() & _hull(sparse_m.numpy() > 0)
-    points_m = unproject(completed_m, sample["intrinsics"][0]).numpy()
-    return points_m[kept], to_picture(output.rgb_aligned[0])[kept]
-
-
-def _hull(mask: np.ndarray) -> np.ndarray:
-    """The convex hull of a mask's pixels, (H, W) bool."""
-    corners = cv2.convexHull(cv2.findNonZero(mask.astype(np.uint8)))
-    return cv2.fillConvexPoly(np.zeros(mask.shape, np.uint8), corners, 1) > 0
-
-
-def _describe(depth_m: Tensor, output: JointOutput) -> dict[str, float]:
-    """What happened to one sample, in numbers."""
-    height, width = depth_m.shape[-2:]
-    moves = decompose_affine(output.affine_rgb_from_depth[0], (height, width))
-    x_px, y_px = moves["translation_px"].tolist()
-    return {
-        "width": width,
-        "height": height,
-        "returns_percent": 100 * (depth_m > 0).float().mean().item(),
-        "x_px": x_px,
-        "y_px": y_px,
-        "rotation_deg": moves["rotation_deg"].item(),
-        "scale_percent": 100 * (moves["scale"].item() - 1),
-        "nearest_m": output.depth_m.min().item(),
-        "farthest_m": output.depth_m.max().item(),
-    }
 
 
 def _summary(facts: Sequence[dict[str, float]], out: Path, scale: float, checkpoint: Path) -> Table:
@@ -252,6 +159,7 @@ def _summary(facts: Sequence[dict[str, float]], out: Path, scale: float, checkpo
     rows = {
         "input": "{width:.0f}x{height:.0f}, {returns_percent:.1f} % of pixels with a return",
         "colour was off by": "({x_px:+.1f}, {y_px:+.1f}) px, {rotation_deg:+.2f} deg, {scale_percent:+.2f} %",
+        "trust in that": "{trust:.2f} of 1",
         "depth": "{nearest_m:.2f} to {farthest_m:.2f} m",
         "network": "{seconds:.2f} s",
     }

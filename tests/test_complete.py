@@ -16,13 +16,15 @@ from depthreg import cli
 from depthreg import complete as command
 from depthreg.errors import InputError
 from depthreg.geometry import warp_affine
+from depthreg.model import Model
 from depthreg.networks import JointNetwork, JointOutput
+from depthreg.result import Result
 
 HEIGHT, WIDTH = 67, 91
 SHIFT_PX = (3, -2)  # where a depth pixel lies in the colour
 SPOT = (slice(20, 23), slice(30, 37))  # rows and columns of a depth that no return bears out
 INTRINSICS = np.array([[80.0, 0, 44], [0, 85, 31], [0, 0, 1]])
-OUTPUTS = ["affine.json", "depth.npy", "depth.png", "panel.png", "rgb_aligned.png"]
+OUTPUTS = ["affine.json", "confidence.png", "depth.npy", "depth.png", "panel.png", "rgb_aligned.png"]
 
 
 def _scene_m(height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
@@ -63,7 +65,7 @@ def _write_rgb(path: Path, height: int = HEIGHT, width: int = WIDTH, seed: int =
 @pytest.fixture
 def inputs(tmp_path, monkeypatch) -> Path:
     """A folder with one usable input of each kind, and a checkpoint that loads as the known answer."""
-    monkeypatch.setattr(command, "load_network", lambda path: KnownAnswer())
+    monkeypatch.setattr(command, "load", lambda path, device: Model(KnownAnswer()))
     monkeypatch.chdir(tmp_path)
     _write_rgb(tmp_path / "photo.png")
     _write_depth(tmp_path / "sparse.png")
@@ -98,7 +100,7 @@ def test_aligned_colour_and_affine_tell_the_same_shift(inputs):
     rgb = cv2.imread(str(inputs / "photo.png"))
     _run("photo.png", "sparse.png", "--depth-scale", "256")
     told = json.loads((inputs / "out/affine.json").read_text())
-    assert told == {"affine_rgb_from_depth": [[1, 0, 3], [0, 1, -2]], "width": WIDTH, "height": HEIGHT}
+    assert told == {"affine_rgb_from_depth": [[1, 0, 3], [0, 1, -2]], "width": WIDTH, "height": HEIGHT, "trust": 1}
     matrix = np.array(told["affine_rgb_from_depth"], dtype=np.float64)
     expected = cv2.warpAffine(rgb, matrix, (WIDTH, HEIGHT), flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
     aligned = cv2.imread(str(inputs / "out/rgb_aligned.png"))
@@ -174,16 +176,16 @@ def test_an_empty_folder_is_filled(inputs):
 
 
 def test_an_interrupt_leaves_nothing(folders, monkeypatch):
-    write, calls = command.write_results, []
+    save, calls = Result.save, []
 
-    def interrupted(*args: object) -> None:
-        calls.append(args)
+    def interrupted(self: Result, folder: Path, depth_scale: float) -> None:
+        calls.append(folder)
         if len(calls) == 2:
             raise KeyboardInterrupt
-        write(*args)
+        save(self, folder, depth_scale)
 
     before = _names(folders)
-    monkeypatch.setattr(command, "write_results", interrupted)
+    monkeypatch.setattr(Result, "save", interrupted)
     with pytest.raises((KeyboardInterrupt, SystemExit)):
         command.main(["rgb", "depth", "--depth-scale", "256", "--out", "out", "--checkpoint", "last.ckpt"])
     assert len(calls) == 2 and _names(folders) == before
@@ -265,7 +267,7 @@ def test_files_without_exactly_one_partner_are_refused(folders, capfd, lonely):
 
 
 def test_one_bad_file_in_a_folder_stops_everything_before_it_starts(folders, monkeypatch, capfd):
-    monkeypatch.setattr(command, "load_network", lambda path: pytest.fail("the network was loaded"))
+    monkeypatch.setattr(command, "load", lambda path, device: pytest.fail("the network was loaded"))
     cv2.imwrite("depth/b.png", np.zeros((80, 70), np.uint8))
     assert _run("rgb", "depth", "--depth-scale", "256") == 2
     assert "depth/b.png" in capfd.readouterr().err
@@ -273,7 +275,7 @@ def test_one_bad_file_in_a_folder_stops_everything_before_it_starts(folders, mon
 
 
 def test_nothing_that_a_user_made_is_overwritten(inputs, monkeypatch, capfd):
-    monkeypatch.setattr(command, "load_network", lambda path: pytest.fail("the network was loaded"))
+    monkeypatch.setattr(command, "load", lambda path, device: pytest.fail("the network was loaded"))
     (inputs / "out").mkdir()
     (inputs / "out/mine.txt").write_text("precious")
     assert _run("photo.png", "sparse.png", "--depth-scale", "256") == 2
@@ -290,10 +292,10 @@ def test_a_write_protected_place_is_refused(inputs, capfd):
 
 
 def test_a_checkpoint_that_cannot_be_used_is_refused(inputs, monkeypatch, capfd):
-    def refuse(path: Path) -> nn.Module:
+    def refuse(path: Path, device: torch.device) -> Model:
         raise InputError(f"{path} is no checkpoint of depthreg")
 
-    monkeypatch.setattr(command, "load_network", refuse)
+    monkeypatch.setattr(command, "load", refuse)
     assert _run("photo.png", "sparse.png", "--depth-scale", "256") == 2
     assert "last.ckpt is no checkpoint" in capfd.readouterr().err
     assert not (inputs / "out").exists()
@@ -302,7 +304,7 @@ def test_a_checkpoint_that_cannot_be_used_is_refused(inputs, monkeypatch, capfd)
 def test_the_real_network_completes_a_real_frame(real_data, tmp_path, monkeypatch):
     torch.manual_seed(0)
     network = JointNetwork(first_channels=8, completion_widths=(16, 16, 32, 32))
-    monkeypatch.setattr(command, "load_network", lambda path: network)
+    monkeypatch.setattr(command, "load", lambda path, device: Model(network))
     monkeypatch.chdir(tmp_path)
     frame = real_data / "kitti_dc_official/triple_5"
     assert _run(str(frame / "rgb.png"), str(frame / "sparse_depth.png"), "--depth-scale", "256") == 0
