@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from depthreg import view
 from depthreg.checkpoint import find_checkpoint
 from depthreg.data import io
 from depthreg.errors import ArgumentParser, InputError
@@ -30,6 +31,7 @@ def main(argv: Sequence[str]) -> int:
     """Run the command: every input is checked before the network is loaded and before anything is written."""
     args = _parse(argv)
     io.check_new_folder(args.out)
+    view.check(args.view, args.rrd)
     pairs = find_pairs(args.rgb, args.depth)
     intrinsics = None if args.intrinsics is None else io.read_intrinsics(args.intrinsics)
     device = _choose_device(args.device)
@@ -39,13 +41,15 @@ def main(argv: Sequence[str]) -> int:
     model = load(checkpoint, device)
 
     facts = []
-    with io.atomic_folder(args.out) as folder:
+    with io.atomic_folder(args.out) as folder, view.open_log(args.view, args.rrd) as log:
         for pair in _progress(pairs):
             rgb, depth_m = read_pair(pair, args.depth_scale)
             start = time.perf_counter()
             result = model(rgb, depth_m, intrinsics)
             seconds = time.perf_counter() - start
             result.save(folder / pair.stem if args.rgb.is_dir() else folder, args.depth_scale)
+            if log:
+                log.log(pair.stem, result)
             facts.append({"seconds": seconds, **result.describe()})
     Console().print(_summary(facts, args.out, args.depth_scale, checkpoint))
     return 0
@@ -84,6 +88,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         help="weights, of any stage of `depthreg train`; by default the newest in runs/",
     )
     add("--device", metavar="NAME", help="cpu, cuda, cuda:1, ...; a GPU by default where there is one")
+    add("--view", action="store_true", help="open Rerun and show each frame: pictures and, with K, the cloud")
+    add("--rrd", type=Path, metavar="FILE.rrd", help="save that for later: `rerun FILE.rrd` shows it")
     return parser.parse_args(argv)
 
 

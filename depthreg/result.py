@@ -75,6 +75,21 @@ class Result(Generic[Array]):
         self._sample, self._output, self._layout = sample, output, layout
 
     @property
+    def rgb(self) -> Array:
+        """Colour as it was given."""
+        return self._layout.colour(self._sample["rgb"])
+
+    @property
+    def sparse_depth_m(self) -> Array:
+        """Depth as it was given, float32, 0 where there is none."""
+        return self._layout.depth(self._sample["depth_m"])
+
+    @property
+    def K(self) -> Array | None:
+        """The camera matrix as it was given, (3, 3) or (B, 3, 3); None without one."""
+        return self._layout.plain(self._sample["intrinsics"]) if "intrinsics" in self._sample else None
+
+    @property
     def depth_m(self) -> Array:
         """Dense z-depth in metres, float32, shaped as the sparse depth."""
         return self._layout.depth(self._output.depth_m)
@@ -101,6 +116,11 @@ class Result(Generic[Array]):
         From the expected error of log-depth, taken to be Laplacian.
         """
         return self._layout.depth(self._confidence())
+
+    @property
+    def expected_error_m(self) -> Array:
+        """How far off each depth may be expected to be, in metres, shaped as it; NaN if the network can't tell."""
+        return self._layout.depth(self._output.depth_m * self._output.log_error)
 
     def _confidence(self) -> Tensor:
         return -torch.expm1(-math.log1p(NEAR_ENOUGH) / self._output.log_error.clamp(min=1e-6))

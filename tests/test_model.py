@@ -233,3 +233,13 @@ def test_real_frames_run_and_their_pictures_are_made(real_data, published):
     result = depthreg.load(published, device="cpu")(rgb, sparse_m)
     assert result.depth_m.shape == sparse_m.shape and result.depth_m.min() > 0
     assert result.figure().width > 1000
+
+
+def test_a_result_knows_what_it_was_given_and_what_error_to_expect(model: depthreg.Model) -> None:
+    rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    depth_m = np.zeros((HEIGHT, WIDTH), np.float32)
+    depth_m[5, 7] = 3
+    result = model(rgb, depth_m, K)
+    assert np.array_equal(result.rgb, rgb) and np.array_equal(result.sparse_depth_m, depth_m)
+    assert result.K is not None and np.array_equal(result.K, K) and model(rgb, depth_m).K is None
+    assert np.allclose(result.expected_error_m, LOG_ERROR * 6, rtol=1e-6)  # a wall at twice the depth
