@@ -5,7 +5,7 @@ ARGS ?=
 BIN := .venv/bin
 
 .DEFAULT_GOAL := help
-.PHONY: help install blender train test integration lint wheel clean
+.PHONY: help install blender train test integration lint docs notebooks wheel clean
 
 help:  ## say what there is
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,8 +46,16 @@ lint: install  ## check style and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: install  ## build the documentation into site/
+	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,docs]"
+	$(BIN)/mkdocs build --strict
+
+notebooks: install  ## run the notebooks as they are, without keeping what they print
+	$(BIN)/python -m pip install -c constraints.txt -e ".[dev,notebooks]"
+	$(BIN)/python -m pytest --nbmake --nbmake-timeout=120 notebooks $(ARGS)
+
 wheel: install  ## build the wheel and the source archive into dist/
 	$(BIN)/python -m build --no-isolation
 
 clean:  ## remove what was installed and built; runs/ stays
-	rm -rf .venv .venv-blender dist .mypy_cache .pytest_cache .ruff_cache
+	rm -rf .venv .venv-blender dist site .mypy_cache .pytest_cache .ruff_cache

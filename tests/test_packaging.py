@@ -121,8 +121,8 @@ def test_the_citation_is_of_this_version() -> None:
     assert [reference["doi"] for reference in citation["references"]] == ["10.3390/s25113328"]  # the paper's
 
 
-def test_every_command_of_the_readme_composes() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_every_command_of_the_readme_and_the_documentation_composes() -> None:
+    text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *ROOT.glob("docs/*.md")))
     commands = re.findall(r"^ {4}depthreg (train|evaluate|render|gallery)\b *(.*?)(?: *#.*)?$", text, re.MULTILINE)
     assert {name for name, _ in commands} == {"train", "evaluate", "render", "gallery"}
     for name, overrides in commands:
