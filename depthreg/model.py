@@ -26,7 +26,7 @@ def load(checkpoint: str | Path | None = None, device: str | torch.device | None
     Raises:
         InputError: The file can't be used.
 
-    Example:
+    Examples:
         >>> import depthreg, numpy as np
         >>> model = depthreg.load(device="cpu")
         >>> rgb = np.zeros((96, 128, 3), np.uint8)

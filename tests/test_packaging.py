@@ -100,11 +100,13 @@ def test_the_metadata_names_the_pythons_and_the_version(metadata: Message) -> No
 def test_every_requirement_is_pinned_at_its_floor_or_above(metadata: Message) -> None:
     packaging = pytest.importorskip("packaging.requirements")
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
-    pins = dict(line.lower().split("==") for line in lines if line and not line.startswith("#"))
+    pins = dict(line.lower().replace("_", "-").split("==") for line in lines if line and not line.startswith("#"))
     for text in metadata.get_all("Requires-Dist", []):
         requirement = packaging.Requirement(text)
         if requirement.name != "depthreg":
-            assert requirement.specifier.contains(pins[requirement.name.lower()], prereleases=True), text
+            assert requirement.specifier.contains(pins[requirement.name.lower().replace("_", "-")], prereleases=True), (
+                text
+            )
 
 
 def test_constraints_name_versions_only() -> None:
@@ -123,10 +125,12 @@ def test_the_citation_is_of_this_version() -> None:
 
 def test_every_command_of_the_readme_and_the_documentation_composes() -> None:
     text = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *ROOT.glob("docs/*.md")))
-    commands = re.findall(r"^ {4}depthreg (train|evaluate|render|gallery)\b *(.*?)(?: *#.*)?$", text, re.MULTILINE)
+    commands = set(re.findall(r"^ {4}depthreg (train|evaluate|render|gallery)\b *(.*?)(?: *#.*)?$", text, re.MULTILINE))
     assert {name for name, _ in commands} == {"train", "evaluate", "render", "gallery"}
     for name, overrides in commands:
-        words = [word for word in shlex.split(overrides) if word != "-m" and not word.startswith("hydra")]
+        words = [
+            word for word in shlex.split(overrides.partition(" --")[0]) if word != "-m" and not word.startswith("hydra")
+        ]
         with open_hydra(name) as hydra:
             mode = RunMode.MULTIRUN if "-m" in overrides.split() else RunMode.RUN
             settings = OmegaConf.create({"mode": mode, "sweeper": {}})
