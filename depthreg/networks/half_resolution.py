@@ -84,7 +84,7 @@ class HalfResolutionNetwork(nn.Module):
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
         relative, log_error = self.completion(rgb_aligned, trust * self.use_rgb, valid, priors)
-        completed = (bounded(relative, priors.returns, valid) + priors.centre).exp()
+        completed = (bounded(relative, priors.returns) + priors.centre).exp()
         completed, rgb_aligned, log_error = (x[..., :height, :width] for x in (completed, rgb_aligned, log_error))
         return JointOutput(completed, rgb_aligned, affine, matches, trust, log_error)
 
@@ -94,12 +94,14 @@ class HalfResolutionNetwork(nn.Module):
         return identity_affine(len(rgb), device=rgb.device, dtype=rgb.dtype), rgb.new_ones(len(rgb)), []
 
 
-def bounded(relative: Tensor, sparse: Tensor, valid: Tensor) -> Tensor:
-    """Keep log-depths (B, 1, H, W) near those of the returns, so that none approaches zero or infinity."""
-    inside = valid > 0
-    low = sparse.masked_fill(~inside, torch.inf).amin(dim=(1, 2, 3), keepdim=True) - BOUND
-    high = sparse.masked_fill(~inside, -torch.inf).amax(dim=(1, 2, 3), keepdim=True) + BOUND
-    return torch.minimum(torch.maximum(relative, low), high)
+def bounded(relative: Tensor, returns: Tensor) -> Tensor:
+    """Keep log-depths (B, 1, H, W) near those of the returns, so that none approaches zero or infinity.
+
+    Relative to their mean, the lowest return is at most 0 and the highest at least 0, which is also what `returns` has
+    where there is none.
+    """
+    low, high = (side(dim=(1, 2, 3), keepdim=True) for side in (returns.amin, returns.amax))
+    return torch.minimum(torch.maximum(relative, low - BOUND), high + BOUND)
 
 
 class HalfResolutionRegistration(nn.Module):
