@@ -36,7 +36,7 @@ def test_slopes_are_finite_whatever_comes_in(fill_m: float | None, make_any: Mak
     rgb, depth_m = make_input()
     depth_m = (depth_m if fill_m is None else torch.full_like(depth_m, fill_m)).requires_grad_()
     output = network(rgb.requires_grad_(), depth_m)
-    (output.depth_m.mean() + output.rgb_aligned.mean() + output.affine_rgb_from_depth.mean()).backward()
+    (output.depth_m.log().mean() + output.rgb_aligned.mean() + output.affine_rgb_from_depth.mean()).backward()
     slopes = [rgb.grad, depth_m.grad, *(p.grad for p in network.parameters() if p.grad is not None)]
     assert all(slope.isfinite().all() for slope in slopes)
 
