@@ -50,9 +50,9 @@ class KittiDataset(Dataset[dict[str, Any]]):
         root = Path(root)
         selection = root / SELECTION if (root / SELECTION).is_dir() else root
         if (selection / "velodyne_raw").is_dir():
-            self.frames = _selection_frames(selection)
+            self.frames = selection_frames(selection)
         elif (root / split).is_dir():
-            self.frames = _drive_frames(root / split, Path(raw_root or root))
+            self.frames = drive_frames(root / split, Path(raw_root or root))
         else:
             raise InputError(
                 f"{root} isn't a KITTI depth folder: velodyne_raw, {SELECTION} or {split} was expected in it"
@@ -66,11 +66,12 @@ class KittiDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         """One `Measurement` without its batch axis."""
         frame = self.frames[index]
-        intrinsics = _read_any_intrinsics(frame.intrinsics, frame.depth) if frame.intrinsics else None
+        intrinsics = read_any_intrinsics(frame.intrinsics, frame.depth) if frame.intrinsics else None
         return read_pair(frame.name, frame.image, frame.depth, DEPTH_SCALE, frame.truth, intrinsics)
 
 
-def _selection_frames(root: Path) -> list[KittiFrame]:
+def selection_frames(root: Path) -> list[KittiFrame]:
+    """Frames of a folder that holds `image` and `velodyne_raw`."""
     frames = []
     for image in sorted((root / "image").glob("*.png")):
         # In the validation selection a file's name says its kind; in the test sets all kinds share one.
@@ -89,9 +90,14 @@ def _selection_frames(root: Path) -> list[KittiFrame]:
     return frames
 
 
-def _drive_frames(root: Path, raw_root: Path) -> list[KittiFrame]:
+def drive_frames(root: Path, raw_root: Path, drives: str = "*_sync") -> list[KittiFrame]:
+    """Frames of a folder of annotated drives, or of one of these, and colour from KITTI raw.
+
+    Raises:
+        InputError: A frame has no colour image.
+    """
     frames = []
-    for depth in sorted(root.glob("*_sync/proj_depth/velodyne_raw/image_0[23]/*.png")):
+    for depth in sorted(root.glob(f"{drives}/proj_depth/velodyne_raw/image_0[23]/*.png")):
         drive, camera = depth.relative_to(root).parts[0], depth.parent.name
         date = raw_root / drive[:10]  # 2011_09_26_drive_0001_sync was recorded on 2011_09_26
         image = date / drive / camera / "data" / depth.name
@@ -114,7 +120,7 @@ def _if_there(path: Path) -> Path | None:
     return path if path.is_file() else None
 
 
-def _read_any_intrinsics(path: Path, depth: Path) -> np.ndarray:
+def read_any_intrinsics(path: Path, depth: Path) -> np.ndarray:
     """K (3, 3) from a file of 9 numbers, or from a drive's calibration for the camera that `depth` is of."""
     if path.name != "calib_cam_to_cam.txt":
         return read_intrinsics(path)
