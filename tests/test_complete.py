@@ -41,10 +41,10 @@ class KnownAnswer(nn.Module):
         self.weight = nn.Parameter(torch.zeros(1))
 
     def forward(self, rgb: Tensor, depth_m: Tensor) -> JointOutput:
-        scene_m = torch.from_numpy(_scene_m(*rgb.shape[-2:]))[None, None].clone()
+        scene_m = torch.from_numpy(_scene_m(*rgb.shape[-2:])).repeat(len(rgb), 1, 1, 1)
         scene_m[:, :, :8] = 10
         scene_m[:, :, *SPOT] = 150
-        affine = torch.tensor([[[1.0, 0, SHIFT_PX[0]], [0, 1, SHIFT_PX[1]]]])
+        affine = torch.tensor([[[1.0, 0, SHIFT_PX[0]], [0, 1, SHIFT_PX[1]]]]).repeat(len(rgb), 1, 1)
         return JointOutput(scene_m, warp_affine(rgb, affine)[0], affine, [], torch.ones(len(rgb)), 0 * scene_m)
 
 
@@ -146,49 +146,21 @@ def test_float_depth_of_the_same_content_gives_the_same_result(inputs, kind):
     assert (inputs / "out/panel.png").read_bytes() == (inputs / "other/panel.png").read_bytes()
 
 
-@pytest.fixture
-def folders(inputs) -> Path:
-    """Two pairs in two folders, of different sizes and kinds."""
-    (inputs / "rgb").mkdir()
-    (inputs / "depth").mkdir()
-    _write_rgb(inputs / "rgb/a.png")
-    _write_rgb(inputs / "rgb/b.jpg", 80, 70, seed=1)
-    _write_depth(inputs / "depth/a.png")
-    _write_depth(inputs / "depth/b.png", 80, 70)
-    (inputs / "rgb/notes.txt").write_text("no picture")
-    (inputs / "rgb/.hidden.png").write_text("no picture")
-    return inputs
-
-
-def test_two_folders_work_as_two_files_do(folders):
-    assert _run("rgb", "depth", "--depth-scale", "256", "--intrinsics", "K.txt") == 0
-    assert _names(folders / "out") == ["a", "b"]
-    assert _run("rgb/b.jpg", "depth/b.png", "--depth-scale", "256", "--intrinsics", "K.txt", out="alone") == 0
-    assert _names(folders / "out/b") == _names(folders / "alone") == sorted([*OUTPUTS, "cloud.ply"])
-    for name in _names(folders / "alone"):
-        assert (folders / "out/b" / name).read_bytes() == (folders / "alone" / name).read_bytes()
-
-
 def test_an_empty_folder_is_filled(inputs):
     (inputs / "out").mkdir()
     assert _run("photo.png", "sparse.png", "--depth-scale", "256") == 0
     assert _names(inputs / "out") == OUTPUTS
 
 
-def test_an_interrupt_leaves_nothing(folders, monkeypatch):
-    save, calls = Result.save, []
+def test_an_interrupt_leaves_nothing(inputs, monkeypatch):
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
 
-    def interrupted(self: Result, folder: Path, depth_scale: float) -> None:
-        calls.append(folder)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        save(self, folder, depth_scale)
-
-    before = _names(folders)
+    before = _names(inputs)
     monkeypatch.setattr(Result, "save", interrupted)
     with pytest.raises((KeyboardInterrupt, SystemExit)):
-        command.main(["rgb", "depth", "--depth-scale", "256", "--out", "out", "--checkpoint", "last.ckpt"])
-    assert len(calls) == 2 and _names(folders) == before
+        command.main(["photo.png", "sparse.png", "--depth-scale", "256", "--out", "out", "--checkpoint", "last.ckpt"])
+    assert _names(inputs) == before
 
 
 BAD_INPUTS = {
@@ -256,22 +228,6 @@ def test_required_options_are_asked_for(inputs, capfd, leave_out, complaint):
     assert cli.main(["complete", "photo.png", "sparse.png", *argv]) == 2
     assert complaint in capfd.readouterr().err
     assert not (inputs / "out").exists()
-
-
-@pytest.mark.parametrize("lonely", ["rgb/c.png", "depth/c.png", "rgb/b.png"])
-def test_files_without_exactly_one_partner_are_refused(folders, capfd, lonely):
-    _write_rgb(folders / lonely)
-    assert _run("rgb", "depth", "--depth-scale", "256") == 2
-    assert lonely in capfd.readouterr().err
-    assert not (folders / "out").exists()
-
-
-def test_one_bad_file_in_a_folder_stops_everything_before_it_starts(folders, monkeypatch, capfd):
-    monkeypatch.setattr(command, "load", lambda path, device: pytest.fail("the network was loaded"))
-    cv2.imwrite("depth/b.png", np.zeros((80, 70), np.uint8))
-    assert _run("rgb", "depth", "--depth-scale", "256") == 2
-    assert "depth/b.png" in capfd.readouterr().err
-    assert not (folders / "out").exists()
 
 
 def test_nothing_that_a_user_made_is_overwritten(inputs, monkeypatch, capfd):
