@@ -18,7 +18,11 @@ if TYPE_CHECKING:  # the tests ask for the page without MkDocs
     from mkdocs.structure.pages import Page
 
 KEYS_PAGE = "keys.md"
-_INTRODUCTION = """# Every configuration key
+_INTRODUCTION = """---
+search: {boost: 0.3}
+---
+
+# Every configuration key
 
 Drawn from `conf/` when this page was built. [Configuration](configuration.md) says how keys and choices are written.
 
