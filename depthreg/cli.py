@@ -14,6 +14,7 @@ COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
     "evaluate": "score a checkpoint beside the classical baselines",
     "compare": "see what changing one thing did, over many runs",
     "complete": "complete and register your own files",
+    "demo": "try it in the browser",
     "gallery": "see what each stage of the curriculum measures",
     "render": "write a data set of a synthetic world",
     "publish": "write a checkpoint's weights in a small file to share",
