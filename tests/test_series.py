@@ -1,6 +1,7 @@
 """`depthreg complete` over many frames: what is written, left out, resumed and refused. A stand-in network counts."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -216,6 +217,18 @@ def test_a_recording_needs_no_scale_and_says_how_its_rig_is_aligned(tum, capfd):
     printed = " ".join(capfd.readouterr().out.split())
     assert "colour is off by (+0.5, +0.0) px, +0.00 deg" in printed and "constant over 1.1 s" in printed
     assert Path("out/rig.html").stat().st_size > 1e6  # needs no network
+
+
+def test_a_viewer_gets_each_frame_that_is_made_with_its_time(tum, monkeypatch):
+    logged: list[tuple[str, tuple[int, ...], float]] = []
+
+    class Log:
+        def log(self, name: str, result: Result, time_s: float) -> None:
+            logged.append((name, result.depth_m.shape, time_s))
+
+    monkeypatch.setattr(command.view, "open_log", lambda show, path: nullcontext(Log()))
+    assert _run("freiburg3", "--every", "4", "--batch-size", "2") == 0
+    assert logged == [(f"{time:.4f}", (HEIGHT, WIDTH), time) for time in (50.0, 50.4, 50.8)]
 
 
 def test_what_is_no_recording_and_has_no_partner_is_refused(network, capfd):

@@ -143,6 +143,7 @@ def test_times_pair_with_their_nearest_and_only_once():
     where = Path("here")
     assert associate([0.0, 1.0, 2.0], [2.01, 0.005, 0.0, 1.5], where) == [(0, 2), (2, 0)]
     assert associate([3.0, 1.0], [1.0, 3.0], where) == [(1, 0), (0, 1)]
+    assert associate([0.0, 0.01], [0.004], where) == [(0, 0)]
     with pytest.raises(InputError, match=r"nearest are 0\.400 s apart"):
         associate([0.0, 1.0], [0.4], where)
     with pytest.raises(InputError, match="0 colour and 1 depth"):
