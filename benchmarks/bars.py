@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.progress import track
 from torch import nn
 
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
 
@@ -149,7 +149,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, required=True, help="file for the numbers; Markdown goes beside it")
     parser.add_argument("--out", type=Path, help="folder for pictures; none without")
-    parser.add_argument("--checkpoint", type=Path, help="weights; the newest in runs/ where not given")
+    parser.add_argument("--checkpoint", type=Path, default=RELEASED, help="weights; the released ones where not given")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="rows to fill in")
     parser.add_argument("--threads", type=int, default=2, help="of PyTorch, for all that is timed too")
     return parser.parse_args(arguments)
@@ -165,17 +165,16 @@ def main() -> None:
             f"bars.py: no real frames in {root / missing[0]}: set DEPTHREG_REAL_DATA to the folder that holds them"
         )
     try:
-        path = find_checkpoint(options.checkpoint)
-        network = load_network(path)
+        network = load_network(options.checkpoint)
     except InputError as error:
         sys.exit(f"bars.py: {error}")
     torch.set_num_threads(options.threads)
-    counts, start = Counts(), time.perf_counter()
+    counts, start, name = Counts(), time.perf_counter(), options.checkpoint.name
     rows = measure(network, root, options.parts, counts, _progress)
     seconds = time.perf_counter() - start
     print_table(rows)
-    print(f"{path}; {options.threads} threads, {seconds / 60:.1f} minutes; seed {registration.SEED}; {counts}")
-    context: Mapping[str, object] = {"weights": str(path), "threads": options.threads, "counts": vars(counts)}
+    print(f"{name}; {options.threads} threads, {seconds / 60:.1f} minutes; seed {registration.SEED}; {counts}")
+    context: Mapping[str, object] = {"weights": name, "threads": options.threads, "counts": vars(counts)}
     write(rows, options.json, **context)
     if options.out:
         pictures.draw(network, kinds_to_draw(root), options.out, _progress)

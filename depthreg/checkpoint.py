@@ -19,6 +19,7 @@ from depthreg.networks import HalfResolutionNetwork, JointNetwork, Network
 
 NETWORKS = {network.__name__: network for network in (JointNetwork, HalfResolutionNetwork)}
 PUBLISHED_SUFFIX = ".safetensors"
+RELEASED = Path(__file__).parent / "weights/release.safetensors"  # what commands use where no weights are named
 _PREFIX = "network."  # of the network's weights in a stage's state
 
 
@@ -64,20 +65,6 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             f"{path} is a checkpoint of another program or version: expected one that `depthreg train` wrote"
         )
     return checkpoint
-
-
-def find_checkpoint(path: Path | None, runs: Path = Path("runs")) -> Path:
-    """`path`, or where that is None the newest `last.ckpt` of the runs in the current folder.
-
-    Raises:
-        InputError: There is none.
-    """
-    if path is not None:
-        return path
-    trained = sorted(runs.glob("*/*/last.ckpt"), key=lambda file: file.stat().st_mtime)
-    if not trained:
-        raise InputError(f"no checkpoint in {runs}/*/*/last.ckpt: run `depthreg train` here first, or name one")
-    return trained[-1]
 
 
 def _weights(checkpoint: dict[str, Any]) -> dict[str, torch.Tensor]:

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from depthreg import view
-from depthreg.checkpoint import find_checkpoint
+from depthreg.checkpoint import RELEASED
 from depthreg.data import io
 from depthreg.data.recordings import KINDS, Recording, Settings, open_pairs, open_recording
 from depthreg.errors import ArgumentParser, InputError
@@ -39,9 +39,8 @@ def _complete_pair(args: argparse.Namespace) -> None:
     (frame,) = open_pairs(args.rgb, args.depth, args.depth_scale).frames
     intrinsics = _read_intrinsics(args)
     device = _choose_device(args.device)
-    checkpoint = find_checkpoint(args.checkpoint)
     rgb, depth_m, _ = frame.read()
-    model = load(checkpoint, device)
+    model = load(args.checkpoint, device)
     with io.atomic_folder(args.out) as folder, view.open_log(args.view, args.rrd) as log:
         start = time.perf_counter()
         result = model(rgb, depth_m, intrinsics)
@@ -49,7 +48,7 @@ def _complete_pair(args: argparse.Namespace) -> None:
         result.save(folder, args.depth_scale)
         if log:
             log.log(frame.name, result)
-    Console().print(_pair_summary({"seconds": seconds, **result.describe()}, args, checkpoint))
+    Console().print(_pair_summary({"seconds": seconds, **result.describe()}, args, args.checkpoint))
 
 
 def _complete_series(args: argparse.Namespace) -> int:
@@ -58,8 +57,7 @@ def _complete_series(args: argparse.Namespace) -> int:
     recording = _open(args)
     intrinsics = _read_intrinsics(args)
     device = _choose_device(args.device)
-    checkpoint = find_checkpoint(args.checkpoint)
-    model = load(checkpoint, device)
+    model = load(args.checkpoint, device)
     made_with = {
         "files": [str(path.absolute()) for path in (args.rgb, args.depth) if path],
         "--depth-scale": recording.depth_scale,
@@ -71,7 +69,7 @@ def _complete_series(args: argparse.Namespace) -> int:
     claim_folder(args.out, made_with)
     with view.open_log(args.view, args.rrd) as log:
         outcome = complete_series(model, recording, args.out, args.batch_size, intrinsics, log)
-    Console().print(_series_summary(outcome, recording, args.out, checkpoint))
+    Console().print(_series_summary(outcome, recording, args.out, args.checkpoint))
     return SKIPPED if outcome.failed else 0
 
 
@@ -104,8 +102,8 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add("--intrinsics", type=Path, metavar="K.txt", help=intrinsics_help)
     out_help = "new or empty folder, or one of this very command that was stopped"
     add("--out", type=Path, required=True, metavar="DIR", help=out_help)
-    checkpoint_help = "weights, of any stage of `depthreg train`; by default the newest in runs/"
-    add("--checkpoint", type=Path, metavar="CKPT", help=checkpoint_help)
+    checkpoint_help = "weights, of any stage of `depthreg train`; by default the released ones"
+    add("--checkpoint", type=Path, default=RELEASED, metavar="CKPT", help=checkpoint_help)
     add("--device", metavar="NAME", help="cpu, cuda, cuda:1, ...; a GPU by default where there is one")
     add("--batch-size", type=_positive, default=1, metavar="N", help="frames at a time (default 1)")
     add("--every", type=_positive, default=1, metavar="N", help="only every N-th frame")

@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import track
 
-from depthreg.checkpoint import find_checkpoint
+from depthreg.checkpoint import RELEASED
 from depthreg.errors import ArgumentParser, InputError
 
 MAX_UPLOAD = "50mb"  # each file
@@ -23,11 +23,10 @@ def main(argv: Sequence[str]) -> int:
     args = _parse(argv)
     if find_spec("gradio") is None:
         raise InputError("the page needs Gradio: expected pip install 'depthreg[demo]' before it")
-    checkpoint = find_checkpoint(args.checkpoint)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: the folder is removed
     with tempfile.TemporaryDirectory(prefix="depthreg-demo-") as folder:
         try:
-            _serve(args, checkpoint, Path(folder))
+            _serve(args, Path(folder))
         except KeyboardInterrupt:
             Console().print("stopped; its files are removed")
     return 0
@@ -43,8 +42,9 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     add(
         "--checkpoint",
         type=Path,
+        default=RELEASED,
         metavar="CKPT",
-        help="weights, of any stage of `depthreg train`; by default the newest in runs/",
+        help="weights, of any stage of `depthreg train`; by default the released ones",
     )
     add("--port", type=int, metavar="N", help="by default the first free one from 7860 on")
     add(
@@ -56,15 +56,16 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _serve(args: argparse.Namespace, checkpoint: Path, folder: Path) -> None:
+def _serve(args: argparse.Namespace, folder: Path) -> None:
     """Serve for ever."""
+    from depthreg.model import load
+
+    model = load(args.checkpoint)
     # Gradio reads these when it is imported.
     os.environ |= {"GRADIO_ANALYTICS_ENABLED": "False", "GRADIO_TEMP_DIR": str(folder), "HF_HUB_OFFLINE": "1"}
     from depthreg.demonstration.examples import SCENES, render_example
     from depthreg.demonstration.page import CSS, build_page
-    from depthreg.model import load
 
-    model = load(checkpoint)
     console = Console(stderr=True)
     numbered = track(list(enumerate(SCENES)), "Rendering examples", console=console, transient=True)
     examples = [render_example(scene, folder / f"example-{index}") for index, scene in numbered]

@@ -16,8 +16,8 @@ from torch import nn
 from torch.utils.data import Dataset, Subset, default_collate
 
 from depthreg.baselines import COMPLETION_BASELINES
-from depthreg.checkpoint import find_checkpoint, load_network
-from depthreg.config import build_simulator
+from depthreg.checkpoint import RELEASED, load_network
+from depthreg.config import build, build_simulator
 from depthreg.data import io
 from depthreg.data.datamodule import VALIDATION_SEED_OFFSET
 from depthreg.data.sample import Measurement
@@ -85,7 +85,7 @@ def run(config: DictConfig) -> float:
 
 
 def _checkpoint(config: DictConfig) -> Path:
-    return find_checkpoint(Path(config.checkpoint) if config.checkpoint else None)
+    return Path(config.checkpoint) if config.checkpoint else RELEASED
 
 
 def build_dataset(config: DictConfig) -> Subset[Any]:
@@ -95,14 +95,14 @@ def build_dataset(config: DictConfig) -> Subset[Any]:
     if data.name == "synthetic":
         simulator = build_simulator(config)
         frames = SyntheticFrames(
-            instantiate(config.world),
-            instantiate(data.camera, max_corner_shift_px=config.max_corner_shift_px, _convert_="all"),
+            build(config.world),
+            build(data.camera, max_corner_shift_px=config.max_corner_shift_px),
             simulator.rig,
             seed=config.seed + VALIDATION_SEED_OFFSET,
             count=data.val_count,
             max_depth_m=data.max_depth_m,
             cache_dir=Path(data.cache_dir) if data.cache_dir else None,
-            renderer=instantiate(config.rendering),
+            renderer=build(config.rendering),
         )
         dataset = SyntheticMeasurements(frames, simulator, config.difficulty, config.seed)
     else:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.sample import Measurement
 from depthreg.networks import Network
 from depthreg.result import Layout, Result
@@ -36,7 +36,7 @@ def load(checkpoint: str | Path | None = None, device: str | torch.device | None
         >>> result.depth_m.shape, bool(abs(result.depth_m - 5).max() < 1)
         ((96, 128), True)
     """
-    network = load_network(find_checkpoint(None if checkpoint is None else Path(checkpoint)))
+    network = load_network(RELEASED if checkpoint is None else Path(checkpoint))
     return Model(network).to(device or ("cuda" if torch.cuda.is_available() else "cpu"))
 
 

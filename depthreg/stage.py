@@ -12,6 +12,7 @@ from torchmetrics import MeanMetric, MetricCollection
 
 from depthreg.checkpoint import described
 from depthreg.data.sample import FrameBatch, Measurement
+from depthreg.distractors import add_distractors
 from depthreg.losses import JointLoss
 from depthreg.metrics import DepthMetrics, RegistrationMetrics
 from depthreg.networks import JointOutput, Network
@@ -39,6 +40,7 @@ class Stage(L.LightningModule):
         lr_divisor: See `lr_milestones`.
         brightness: Largest relative change of brightness in training.
         impostor_share: Share of training samples whose colour belongs to another place; see `augment`.
+        distractor_share: Share of training samples with shadows, and with reflections; see `add_distractors`.
         val_difficulty: Difficulty of validation, in [0, 1].
         seed: First number of every random draw.
     """
@@ -59,11 +61,16 @@ class Stage(L.LightningModule):
         lr_divisor: float = 3.0,
         brightness: float = 0.2,
         impostor_share: float = 0.0,
+        distractor_share: float = 0.0,
         val_difficulty: float = 1.0,
         seed: int = 0,
     ) -> None:
         super().__init__()
-        shares = {"val_difficulty": val_difficulty, "impostor_share": impostor_share}
+        shares = {
+            "val_difficulty": val_difficulty,
+            "impostor_share": impostor_share,
+            "distractor_share": distractor_share,
+        }
         if learning_rate <= 0 or weight_decay < 0 or not all(0 <= share <= 1 for share in shares.values()):
             raise ValueError(
                 f"expected learning_rate > 0, weight_decay >= 0, {' and '.join(shares)} in [0, 1], "
@@ -72,7 +79,7 @@ class Stage(L.LightningModule):
         self.name, self.network, self.loss, self.simulator = name, network, loss, simulator
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.warmup_steps, self.lr_milestones, self.lr_divisor = warmup_steps, tuple(lr_milestones), lr_divisor
-        self.brightness, self.impostor_share = brightness, impostor_share
+        self.brightness, self.impostor_share, self.distractor_share = brightness, impostor_share, distractor_share
         self.val_difficulty, self.seed = val_difficulty, seed
         self.depth_metrics, self.registration_metrics = DepthMetrics(), RegistrationMetrics()
         # Lightning's own means over an epoch are wrong where processes have unequally many frames.
@@ -97,7 +104,8 @@ class Stage(L.LightningModule):
             return simulate_each(self.simulator, frames, self.val_difficulty, frame_generators(frames, self.seed))
         generators = frame_generators(frames, self.seed, *self.name.encode(), self.trainer.current_epoch)
         measured = simulate_each(self.simulator, frames, self.difficulty, generators)
-        return augment(measured, generators, self.brightness, self.impostor_share)
+        augmented = augment(measured, generators, self.brightness, self.impostor_share)
+        return add_distractors(augmented, generators, self.distractor_share)
 
     def _step(self, batch: Measurement) -> tuple[JointOutput, dict[str, Tensor]]:
         """What the network says, and the losses by the names under which they are logged."""

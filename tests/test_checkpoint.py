@@ -1,15 +1,15 @@
 """Reading checkpoints: ours come back whole, everything else is refused and runs no code."""
 
-import os
 import pickle
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from depthreg.checkpoint import described, find_checkpoint, load_network, load_weights, read_checkpoint
+from depthreg.checkpoint import RELEASED, described, load_network, load_weights, read_checkpoint, read_published
 from depthreg.errors import InputError
 from depthreg.networks import HalfResolutionNetwork, JointNetwork
 
@@ -126,17 +126,15 @@ def test_a_checkpoint_cut_short_is_refused(checkpoint: Path) -> None:
         read_checkpoint(checkpoint)
 
 
-def test_the_newest_weights_are_found_where_none_are_named(tmp_path: Path) -> None:
-    named = tmp_path / "mine.ckpt"
-    for age_s, place in enumerate(("b/full", "a/full", "b/joint")):
-        file = tmp_path / place / "last.ckpt"
-        file.parent.mkdir(parents=True)
-        file.touch()
-        os.utime(file, (1000 - age_s, 1000 - age_s))
-    assert find_checkpoint(None, tmp_path) == tmp_path / "b/full/last.ckpt"
-    assert find_checkpoint(named, tmp_path) == named
+def test_the_released_weights_load_and_are_small() -> None:
+    network = load_network(RELEASED)
+    assert sum(parameter.numel() for parameter in network.parameters()) <= 5.2e6
+    assert RELEASED.stat().st_size <= 12e6
+    description, _ = read_published(RELEASED)
+    assert {"git", "overrides", "versions", "stage", "step"} <= description["origin"].keys()
 
 
-def test_without_a_run_one_is_asked_for(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="depthreg train"):
-        find_checkpoint(None, tmp_path)
+def test_the_model_card_is_of_the_released_weights() -> None:
+    card = (RELEASED.parent / "README.md").read_text(encoding="utf-8")
+    assert sha256(RELEASED.read_bytes()).hexdigest() in card
+    assert read_published(RELEASED)[0]["origin"]["git"]["revision"] in card

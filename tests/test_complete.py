@@ -220,7 +220,7 @@ def test_bad_input_is_one_sentence_with_status_2_and_nothing_written(bad_inputs,
 
 @pytest.mark.parametrize(
     ("leave_out", "complaint"),
-    [("--depth-scale", "--depth-scale"), ("--out", "--out"), ("--checkpoint", "depthreg train")],
+    [("--depth-scale", "--depth-scale"), ("--out", "--out")],
 )
 def test_required_options_are_asked_for(inputs, capfd, leave_out, complaint):
     options = {"--depth-scale": "256", "--out": "out", "--checkpoint": "last.ckpt"}

@@ -31,6 +31,7 @@ class HalfResolutionNetwork(nn.Module):
         registration_hidden: Width of the convolutions that read a correlation.
         matchers: Stride, radius and window of each matcher, see `Matcher`; a stride of 4 at least. Without any, colour
             stays where it is.
+        looks: How often each of them looks.
         use_rgb: Let completion see colour; without, it sees depth alone, and there must be no matchers.
 
     Raises:
@@ -44,6 +45,7 @@ class HalfResolutionNetwork(nn.Module):
         registration_widths: Sequence[int] = (32, 32, 64),
         registration_hidden: int = 96,
         matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 2, 17)),
+        looks: int = 2,
         use_rgb: bool = True,
     ) -> None:
         super().__init__()
@@ -55,12 +57,13 @@ class HalfResolutionNetwork(nn.Module):
             "registration_widths": list(registration_widths),
             "registration_hidden": registration_hidden,
             "matchers": [list(matcher) for matcher in matchers],
+            "looks": looks,
             "use_rgb": use_rgb,
         }
         self.registers, self.use_rgb = bool(matchers), use_rgb
         self.registration = nn.Module()  # that nobody may look for it in vain
         if matchers:
-            self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers)
+            self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers, looks)
         self.completion = PropagationNet(completion_widths, dilations)
         self.stride = max(self.completion.stride, self.registration.stride if matchers else 1)
 
@@ -111,14 +114,17 @@ class HalfResolutionRegistration(nn.Module):
         widths: Channels at strides 2, 4, 8, ...
         hidden: Width of the convolutions that read a correlation.
         matchers: Stride, radius and window of each.
+        looks: How often each of them looks.
     """
 
-    def __init__(self, widths: Sequence[int], hidden: int, matchers: Sequence[tuple[int, int, int]]) -> None:
+    def __init__(
+        self, widths: Sequence[int], hidden: int, matchers: Sequence[tuple[int, int, int]], looks: int
+    ) -> None:
         super().__init__()
         first, *tower = widths
         self.first_rgb = conv_norm_gelu(12 + 2, first)
         self.first_depth = conv_norm_gelu(3 + 1 + 1 + 1 + 4, first)
-        self.match = RegistrationNet(first, tower, hidden, matchers, in_stride=2)
+        self.match = RegistrationNet(first, tower, hidden, matchers, in_stride=2, looks=looks)
         answer = nn.Linear(32, 1)
         nn.init.constant_(answer.bias, 2.0)  # trusts until it learns better
         self.trust = nn.Sequential(nn.Linear(3 * len(matchers), 32), nn.GELU(), answer)
@@ -132,7 +138,7 @@ class HalfResolutionRegistration(nn.Module):
             priors: The sparse depth, filled.
 
         Returns:
-            `affine_rgb_from_depth` (B, 2, 3) in pixels, the trust in it (B,) in [0, 1], and what each matcher saw.
+            `affine_rgb_from_depth` (B, 2, 3) in pixels, the trust in it (B,), in [0, 1], and each look of each matcher.
         """
         _, surface, smooth, *_ = priors.candidates.split(1, dim=1)
         edges_rgb = edge_strength(F.avg_pool2d(rgb, 2))
@@ -141,7 +147,8 @@ class HalfResolutionRegistration(nn.Module):
         seen = torch.cat([filled, priors.sparse, priors.valid, priors.distance, *edges_depth], dim=1)
         first_rgb = self.first_rgb(torch.cat([F.pixel_unshuffle(rgb, 2), edges_rgb], dim=1))
         affine, matches = self.match(first_rgb, self.first_depth(seen))
-        quality = torch.cat([match_quality(match) for match in matches], dim=1).detach()
+        last_looks = matches[self.match.looks - 1 :: self.match.looks]
+        quality = torch.cat([match_quality(match) for match in last_looks], dim=1).detach()
         return affine, self.trust(quality.to(rgb.dtype)).float().sigmoid()[:, 0], matches
 
 

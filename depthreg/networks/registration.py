@@ -174,6 +174,7 @@ class RegistrationNet(nn.Module):
         matchers: Stride, radius in cells and window in cells of each matcher, coarsest first; without any, the answer
             is the identity.
         in_stride: Pixels of a cell of the first feature maps.
+        looks: How often each matcher looks, each time with the colour where the look before has brought it.
     """
 
     def __init__(
@@ -183,8 +184,10 @@ class RegistrationNet(nn.Module):
         hidden: int,
         matchers: Sequence[tuple[int, int, int]],
         in_stride: int = 1,
+        looks: int = 1,
     ) -> None:
         super().__init__()
+        self.looks = looks
         self.tower = Tower(in_channels, widths)
         strides = [in_stride * 2 ** (i + 1) for i in range(len(widths))]
         self.level_of_matcher = [strides.index(stride) for stride, _, _ in matchers]
@@ -202,12 +205,13 @@ class RegistrationNet(nn.Module):
             depth: First features of the depth, (B, C, h, w).
 
         Returns:
-            `affine_rgb_from_depth` (B, 2, 3) in pixels, and what each matcher saw.
+            `affine_rgb_from_depth` (B, 2, 3) in pixels, and what each matcher saw at each look.
         """
         rgb_pyramid, depth_pyramid = self.tower(rgb), self.tower(depth)
         affine = identity_affine(len(rgb), device=rgb.device, dtype=torch.promote_types(rgb.dtype, torch.float32))
         matches = []
         for level, matcher in zip(self.level_of_matcher, self.matchers, strict=True):
-            affine, seen = matcher(rgb_pyramid[level], depth_pyramid[level], affine)
-            matches.append(seen)
+            for _ in range(self.looks):
+                affine, seen = matcher(rgb_pyramid[level], depth_pyramid[level], affine)
+                matches.append(seen)
         return affine, matches
