@@ -4,7 +4,6 @@ import io as memory
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -72,16 +71,13 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.fixture(scope="module")
-def page(served: Served) -> Iterator[Page]:
+def page(served: Served, chromium: str) -> Iterator[Page]:
     """The page, opened; nothing may be asked of any other machine."""
-    found = [path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))]
-    if not found:
-        pytest.skip("no Chromium: apt-get install chromium, or Chrome, lets a browser judge the page")
     complaints: list[str] = []
     asked: list[str] = []
     with sync_playwright() as playwright:
         flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  # 3D without a GPU
-        browser = playwright.chromium.launch(executable_path=found[0], args=flags)
+        browser = playwright.chromium.launch(executable_path=chromium, args=flags)
         page = browser.new_page(viewport={"width": 1300, "height": 1000})
         page.set_default_timeout(1000 * LONG_S)
         page.on("pageerror", lambda error: complaints.append(str(error)))
