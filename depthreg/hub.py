@@ -26,9 +26,7 @@ class HubModel(Model, ModelHubMixin, library_name="depthreg", tags=["depth-compl
         write_published(Path(save_directory) / WEIGHTS, self.network, {})
 
     @classmethod
-    def _from_pretrained(
-        cls, *, model_id: str, device: str | None = None, map_location: str = "cpu", **options: Any
-    ) -> "HubModel":
+    def _from_pretrained(cls, *, model_id: str, device: str = "cpu", **options: Any) -> "HubModel":
         folder = Path(model_id)
         keys = ("revision", "cache_dir", "force_download", "local_files_only", "token")
         path = (
@@ -36,4 +34,4 @@ class HubModel(Model, ModelHubMixin, library_name="depthreg", tags=["depth-compl
             if folder.is_dir()
             else Path(hf_hub_download(model_id, WEIGHTS, **{key: options[key] for key in keys if key in options}))
         )
-        return cls(load_network(path)).to(device or map_location)
+        return cls(load_network(path)).to(device)
