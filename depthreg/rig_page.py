@@ -93,8 +93,9 @@ def describe(rig: Rig, unit: str) -> list[str]:
         + f"; the corners by {rig.corner_px:.1f} px"
     )
     spread = "({x_px:.1f}, {y_px:.1f}) px, {rotation_deg:.2f} deg, {scale_percent:.2f} %".format(**scatter)
+    doubt = "" if rig.frames_used else ", says the network, which trusts none of these frames"
     return [
-        f"colour is off by {off}",
+        f"colour is off by {off}{doubt}",
         f"single frames scatter by {spread} about that",
         _verdict(rig, unit),
     ]

@@ -93,7 +93,9 @@ def test_few_frames_or_few_trusted_ones_give_a_median_but_no_verdict(trust):
     frames = [frame._replace(trust=trust) for frame in _frames(9 if trust > 0.5 else 40, drift_px=20)]
     rig = summarize_rig(frames, SIZE)
     assert rig.verdict == "too few frames" and abs(rig.parameters["y_px"].median + 3) < 0.5
-    assert "too few to tell" in describe(rig, "s")[-1]
+    off, *_, verdict = describe(rig, "s")
+    assert "too few to tell" in verdict
+    assert ("trusts none of these frames" in off) == (trust < 0.5)
     assert summarize_rig(frames[:1], SIZE).verdict == "too few frames"
 
 
