@@ -72,8 +72,9 @@ def pixel_grid(
 
 def samples_at(image: Tensor, xy_px: Tensor) -> Tensor:
     """The samples (B, C, H', W') of `sample_at` alone: whether they lie inside takes as long again to tell."""
-    last = xy_px.new_tensor([image.shape[-1] - 1, image.shape[-2] - 1])
-    return F.grid_sample(image, 2 * xy_px / last - 1, mode="bilinear", padding_mode="zeros", align_corners=True)
+    x, y = xy_px.unbind(-1)
+    unit = torch.stack([2 * x / (image.shape[-1] - 1) - 1, 2 * y / (image.shape[-2] - 1) - 1], dim=-1)
+    return F.grid_sample(image, unit, mode="bilinear", padding_mode="zeros", align_corners=True)
 
 
 def sample_at(image: Tensor, xy_px: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,9 +10,9 @@ from torch import Tensor
 from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.sample import Measurement
 from depthreg.networks import Network
+from depthreg.networks.output import MIN_SIDE_PX
 from depthreg.result import Layout, Result
 
-MIN_SIDE_PX = 64  # the smallest picture that a network takes
 Array = TypeVar("Array", np.ndarray, Tensor)
 
 

@@ -4,6 +4,25 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+MAX_EXPORTED_SIDE_PX = 4096  # of a network that is exported for any size
+
+
+def doublings(*sides: int) -> int:
+    """How often 1 has to double to reach the longest side.
+
+    In an export for any size, it is what the longest possible one takes: more passes than needed change nothing here.
+    """
+    if torch.jit.is_tracing():
+        return (MAX_EXPORTED_SIDE_PX - 1).bit_length()
+    return (max(sides) - 1).bit_length()
+
+
+def padding_to(stride: int, height: int, width: int) -> list[int]:
+    """Padding to the right and below, as `F.pad` takes it, that makes both sides multiples of `stride`."""
+    # Written so that an export for any size sees the multiple: it can halve that, but not a remainder.
+    wide, high = ((side + stride - 1) // stride * stride for side in (width, height))
+    return [0, wide - width, 0, high - height]
+
 
 def conv_norm_gelu(in_channels: int, out_channels: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
     """Convolution, group normalisation (independent of the batch, so DDP ranks agree) and GELU."""
@@ -92,13 +111,14 @@ def nearest_valid(values: Tensor, valid: Tensor, reach_px: int | None = None) ->
     seed = torch.where(valid, row * width + column, -1)  # index of the nearest valid pixel found so far
     far = height**2 + width**2
     distance = torch.where(valid, 0, far)
-    step = (reach_px or 1 << (max(height, width) - 1).bit_length()) // 2
+    step = (reach_px or 1 << doublings(height, width)) // 2
     while step:
         padded = F.pad(seed, [step] * 4, value=-1)
         for dy in (0, step, 2 * step):
             for dx in (0, step, 2 * step):
                 candidate = padded[..., dy : dy + height, dx : dx + width]
-                reach = (candidate // width - row).square() + (candidate % width - column).square()
+                above = candidate // width
+                reach = (above - row).square() + (candidate - above * width - column).square()
                 closer = (candidate >= 0) & (reach < distance)
                 seed, distance = torch.where(closer, candidate, seed), torch.where(closer, reach, distance)
         step //= 2
@@ -133,7 +153,7 @@ def fill_smoothly(values: Tensor, valid: Tensor) -> Tensor:
     """
     weight = valid.to(values.dtype)
     levels = [(values * weight, weight)]  # values and whether there are any, finest first
-    while max(levels[-1][0].shape[-2:]) > 1:
+    for _ in range(doublings(*values.shape[-2:])):
         levels.append(_pool_valid(*levels[-1]))
     filled = levels.pop()[0]
     for value, weight in reversed(levels):

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from depthreg.geometry import exact_product, identity_affine, transform_points, warp_affine
-from depthreg.networks.blocks import conv_norm_gelu
+from depthreg.networks.blocks import conv_norm_gelu, padding_to
 from depthreg.networks.output import JointOutput, check_inputs
 from depthreg.networks.priors import Priors, find_priors
 from depthreg.networks.propagation import PropagationNet
@@ -77,7 +77,7 @@ class HalfResolutionNetwork(nn.Module):
         """
         check_inputs(rgb, depth_m)
         height, width = rgb.shape[-2:]
-        padding = [0, -width % self.stride, 0, -height % self.stride]
+        padding = padding_to(self.stride, height, width)
         # Autocast would round positions and depths to half precision; convolutions alone are asked to.
         with torch.autocast(rgb.device.type, enabled=False):
             depth = F.pad(depth_m, padding)
@@ -86,7 +86,7 @@ class HalfResolutionNetwork(nn.Module):
             valid = (depth > 0).to(depth.dtype)
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        relative, log_error = self.completion(rgb_aligned, trust * self.use_rgb, valid, priors)
+        relative, log_error = self.completion(rgb_aligned, trust if self.use_rgb else 0 * trust, valid, priors)
         completed = (bounded(relative, priors.returns) + priors.centre).exp()
         completed, rgb_aligned, log_error = (x[..., :height, :width] for x in (completed, rgb_aligned, log_error))
         return JointOutput(completed, rgb_aligned, affine, matches, trust, log_error)

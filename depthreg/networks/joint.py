@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from depthreg.geometry import identity_affine, warp_affine
-from depthreg.networks.blocks import conv_norm_gelu, fill_nearest, fill_smoothly
+from depthreg.networks.blocks import conv_norm_gelu, fill_nearest, fill_smoothly, padding_to
 from depthreg.networks.completion import TinyUNet
 from depthreg.networks.output import JointOutput, check_inputs
 from depthreg.networks.registration import LocalMatches, RegistrationNet, edge_strength
@@ -82,7 +82,7 @@ class JointNetwork(nn.Module):
         """
         check_inputs(rgb, depth_m)
         height, width = rgb.shape[-2:]
-        padding = [0, -width % self.stride, 0, -height % self.stride]
+        padding = padding_to(self.stride, height, width)
         valid = F.pad(depth_m > 0, padding)
         sparse = F.pad(self._to_unit(depth_m), padding) * valid
         filled = fill_smoothly(sparse, valid)

@@ -6,6 +6,8 @@ from torch import Tensor
 
 from depthreg.networks.registration import LocalMatches
 
+MIN_SIDE_PX = 64  # the smallest picture that a network takes
+
 
 class JointOutput(NamedTuple):
     """What a network returns."""
@@ -24,7 +26,8 @@ def check_inputs(rgb: Tensor, depth_m: Tensor) -> None:
     Raises:
         ValueError: The sizes differ, or a side is below 64 pixels.
     """
-    if min(rgb.shape[-2:]) < 64 or rgb.shape[-2:] != depth_m.shape[-2:]:
+    if min(rgb.shape[-2:]) < MIN_SIDE_PX or rgb.shape[-2:] != depth_m.shape[-2:]:
         raise ValueError(
-            f"rgb and depth_m must be of one size, at least 64 x 64, got {tuple(rgb.shape)}, {tuple(depth_m.shape)}"
+            f"rgb and depth_m must be of one size, at least {MIN_SIDE_PX} x {MIN_SIDE_PX}, "
+            f"got {tuple(rgb.shape)}, {tuple(depth_m.shape)}"
         )

@@ -20,6 +20,7 @@ FILLINGS = (
 )
 FAR_FACTOR = 1.5  # the sky, as a multiple of the farthest return
 REACH_PX = 128  # farther than this from any return, filling is smooth
+NOTHING = -1e9  # less than any log-depth, and finite: ONNX Runtime's maxima begin at the lowest finite number
 UP, DOWN = 1, -1  # directions in which to look for a return
 
 
@@ -48,12 +49,12 @@ def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     logs = torch.where(known, depth_m, 1).log()
     centre = logs.sum(dim=(1, 2, 3), keepdim=True) / known.sum(dim=(1, 2, 3), keepdim=True).clamp(min=1)
     returns = (logs - centre) * known
-    cells = F.max_pool2d(torch.where(known, -returns, -torch.inf), 2)  # negative: a maximum is the nearest
-    valid = cells > -torch.inf
+    cells = F.max_pool2d(torch.where(known, -returns, NOTHING), 2)  # negative: a maximum is the nearest
+    valid = cells > NOTHING
     sparse = torch.where(valid, -cells, 0)
     nearest, smooth, distance_px = fill_around(sparse, valid)
     around = window_max(cells, surface_window)
-    surface = torch.where(around > -torch.inf, -around, nearest)
+    surface = torch.where(around > NOTHING, -around, nearest)
     farthest = returns.amax(dim=(1, 2, 3), keepdim=True)  # at least the mean's 0
     sky = (farthest + math.log(FAR_FACTOR)).expand_as(smooth)
     candidates = torch.cat([nearest, surface, smooth, *fill_columns(sparse, valid, nearest), sky], dim=1)
@@ -126,7 +127,5 @@ def next_in_column(values: Tensor, valid: Tensor, side: int) -> tuple[Tensor, Te
 
 def shifted(x: Tensor, rows: int) -> Tensor:
     """What lies so many rows higher up in (B, 1, h, w), lower down where negative; 0 beyond the border."""
-    height = x.shape[-2]
-    rows = max(-height, min(rows, height))
-    kept = x[..., : height - rows, :] if rows > 0 else x[..., -rows:, :]
-    return F.pad(kept, [0, 0, max(rows, 0), max(-rows, 0)])
+    below = max(-rows, 0)
+    return F.pad(x, [0, 0, max(rows, 0), below])[..., below : below + x.shape[-2], :]
