@@ -17,6 +17,7 @@ COMMANDS = {  # name -> what it does; depthreg/NAME.py is how
     "demo": "try it in the browser",
     "gallery": "see what each stage of the curriculum measures",
     "render": "write a data set of a synthetic world",
+    "export": "write a network for ONNX Runtime, TorchScript or torch.export",
     "publish": "write a checkpoint's weights in a small file to share",
     "pack": "put such a data set into tar files to stream from",
 }

@@ -22,6 +22,11 @@ Array = TypeVar("Array", np.ndarray, Tensor)
 NEAR_ENOUGH = 0.05  # a depth within this share of the truth counts as right
 
 
+def chance_near(log_error: Tensor) -> Tensor:
+    """How likely a depth is within 5 % of the truth, by the expected error of its logarithm, taken to be Laplacian."""
+    return 1 - (-math.log1p(NEAR_ENOUGH) / log_error.clamp(min=1e-6)).exp()
+
+
 class PointCloud(NamedTuple):
     """Coloured points in the camera's coordinates: x to the right, y down, z forward."""
 
@@ -113,7 +118,7 @@ class Result(Generic[Array]):
     def confidence(self) -> Array:
         """How likely each depth is within 5 % of the truth, in [0, 1], shaped as it; NaN if the network can't tell.
 
-        From the expected error of log-depth, taken to be Laplacian.
+        See `chance_near`.
         """
         return self._layout.depth(self._confidence())
 
@@ -123,7 +128,7 @@ class Result(Generic[Array]):
         return self._layout.depth(self._output.depth_m * self._output.log_error)
 
     def _confidence(self) -> Tensor:
-        return -torch.expm1(-math.log1p(NEAR_ENOUGH) / self._output.log_error.clamp(min=1e-6))
+        return chance_near(self._output.log_error)
 
     def __len__(self) -> int:
         if self._layout.single:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from depthreg.errors import InputError
-from depthreg.model import MIN_SIDE_PX
+from depthreg.networks.output import MIN_SIDE_PX
 
 MAX_APART_S = 0.02  # of a colour and a depth image that count as one moment, as TUM's tools have it
 
