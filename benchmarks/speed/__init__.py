@@ -1,0 +1,1 @@
+"""Parts of `benchmarks/inference.py`: what is timed, and how."""
