@@ -22,10 +22,10 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import track
 
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.sample import Measurement
 from depthreg.errors import InputError
-from depthreg.export import export, open_exported, quantise
+from depthreg.export import export, open_exported
 from depthreg.frame_network import FrameNetwork
 from depthreg.networks import Network
 
@@ -39,7 +39,7 @@ Row = dict[str, Any]
 def main() -> None:
     """Export, compare, print and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--checkpoint", type=Path, help="weights; those of `depthreg complete` where not given")
+    parser.add_argument("--checkpoint", type=Path, default=RELEASED, help="weights; the released ones where not given")
     parser.add_argument("--frames", type=int, default=4, help="of each set; default: 4")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--markdown", type=Path, help="file for the table")
@@ -48,8 +48,7 @@ def main() -> None:
     if not (root / "kitti_odom_04").is_dir():
         sys.exit(f"exported.py: no real frames in {root}: set DEPTHREG_REAL_DATA to the folder that holds them")
     try:
-        checkpoint = find_checkpoint(options.checkpoint)
-        network = load_network(checkpoint)
+        network = load_network(options.checkpoint)
     except InputError as error:
         sys.exit(f"exported.py: {error}")
     sets = readers.cut(readers.kitti_depth(root) | readers.indoor_depth(root), options.frames)
@@ -57,7 +56,7 @@ def main() -> None:
     table = markdown(rows)
     Console(width=160).print(Markdown(table))
     if options.json:
-        text = json.dumps({"weights": checkpoint.name, "rows": rows}, indent=2)
+        text = json.dumps({"weights": options.checkpoint.name, "rows": rows}, indent=2)
         options.json.write_text(text + "\n", encoding="utf-8")
     if options.markdown:
         options.markdown.write_text(table, encoding="utf-8")
@@ -68,12 +67,10 @@ CHOSEN = (readers.OFFICIAL, readers.DERIVED, "nyu/kitchenette (500 points)", "rg
 
 def compare(network: Network, sets: readers.Frames) -> Iterator[Row]:
     """A row for each set and way of exporting."""
-    for kind, precision in track(WAYS, "Exporting", Console(stderr=True), transient=True):
+    for kind, precision in track(WAYS, "Exporting", console=Console(stderr=True), transient=True):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"network.{kind}"
-            export(FrameNetwork(network, precision == "fp16"), path, kind, None, {})
-            if precision == "int8":
-                quantise(path)
+            export(network, path, kind, precision, None, {})
             exported, megabytes = open_exported(path, kind), path.stat().st_size / 1e6
             for name, frames in sets.items():
                 answers = [(_frame(sample), sample["truth_depth_m"][0, 0].numpy()) for sample in frames]

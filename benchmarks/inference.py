@@ -24,7 +24,7 @@ from rich.table import Table
 from speed.measure import Timing, measure
 from speed.methods import METHODS, Case
 
-from depthreg.checkpoint import find_checkpoint
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.errors import InputError
 from depthreg.export import Size
 
@@ -51,18 +51,18 @@ def main() -> None:
     """Measure, print and write."""
     options = _parse()
     try:
-        checkpoint = find_checkpoint(options.checkpoint)
+        load_network(options.checkpoint)
     except InputError as error:
         sys.exit(f"inference.py: {error}")
-    cases = list(make_cases(options.sizes, options.threads, options.methods, checkpoint))
+    cases = list(make_cases(options.sizes, options.threads, options.methods, options.checkpoint))
     timings = [
         measure(case, options.runs, options.seconds)
-        for case in track(cases, "Timing", Console(stderr=True), transient=True)
+        for case in track(cases, "Timing", console=Console(stderr=True), transient=True)
     ]
     rows = with_ratios(cases, timings)
     print_rows(rows)
     if options.json:
-        text = json.dumps({"weights": checkpoint.name, "rows": rows}, indent=2, allow_nan=False)
+        text = json.dumps({"weights": options.checkpoint.name, "rows": rows}, indent=2, allow_nan=False)
         options.json.write_text(text + "\n", encoding="utf-8")
 
 
@@ -70,7 +70,7 @@ def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("--json", type=Path, help="file for the numbers")
-    add("--checkpoint", type=Path, help="our weights; those of `depthreg complete` where not given")
+    add("--checkpoint", type=Path, default=RELEASED, help="our weights; the released ones where not given")
     add("--sizes", nargs="+", default=SIZES, metavar="WxH", help=f"default: {' '.join(SIZES)}")
     add("--threads", nargs="+", type=int, default=[1, 2], help="default: 1 2")
     add("--methods", nargs="+", choices=METHODS, default=list(METHODS), help="rows; default: all")

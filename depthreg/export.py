@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from rich.console import Console
-from torch import Tensor
+from torch import Tensor, nn
 
 from depthreg import __version__
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.io import atomic_write
 from depthreg.errors import ArgumentParser, InputError
 from depthreg.frame_network import INPUTS, OUTPUTS, FrameNetwork, with_rowwise_norms
@@ -49,13 +49,10 @@ def main(argv: Sequence[str]) -> int:
         raise InputError(f"--precision int8 is for ONNX Runtime: expected --format onnx, not {kind}")
     if kind == "onnx" and not all(importlib.util.find_spec(name) for name in ("onnx", "onnxruntime")):
         raise InputError("--format onnx needs ONNX and its runtime: expected pip install 'depthreg[export]' before it")
-    checkpoint = find_checkpoint(options.checkpoint)
-    network = load_network(checkpoint)
-    description = describe(network, checkpoint.name, options.precision, options.size)
+    network = load_network(options.checkpoint)
+    description = describe(network, options.checkpoint.name, options.precision, options.size)
     with atomic_write(path) as partial:
-        export(FrameNetwork(network, options.precision == "fp16"), partial, kind, options.size, description)
-        if options.precision == "int8":
-            quantise(partial)
+        export(network, partial, kind, options.precision, options.size, description)
         apart_m = difference_m(FrameNetwork(network), open_exported(partial, kind), options.size or Size(101, 173))
     megabytes = path.stat().st_size / 1e6
     Console().print(
@@ -77,7 +74,14 @@ def _parse(argv: Sequence[str]) -> argparse.Namespace:
         + ".",
     )
     add = parser.add_argument
-    add("checkpoint", type=Path, nargs="?", metavar="CHECKPOINT", help="weights; by default those of `complete`")
+    add(
+        "checkpoint",
+        type=Path,
+        nargs="?",
+        default=RELEASED,
+        metavar="CKPT",
+        help="weights; by default the released ones",
+    )
     add("out", type=Path, metavar="OUT", help="new file: .onnx, .pt (TorchScript) or .pt2 (torch.export)")
     add("--format", choices=SUFFIXES, help="by default what OUT's ending says")
     add(
@@ -124,13 +128,16 @@ def describe(network: Network, checkpoint: str, precision: str, size: Size | Non
 
 
 @torch.no_grad()
-def export(network: FrameNetwork, path: Path, kind: str, size: Size | None, description: dict[str, Any]) -> None:
+def export(
+    network: nn.Module, path: Path, kind: str, precision: str, size: Size | None, description: dict[str, Any]
+) -> None:
     """Write a network on the CPU to a file.
 
     Args:
-        network: What it is to do.
+        network: Any of `depthreg.networks`.
         path: Where to.
         kind: One of `SUFFIXES`.
+        precision: One of `PRECISIONS`; int8 for onnx alone.
         size: The only one that it will take; without, any, but not as pt2.
         description: Goes into the file as JSON.
     """
@@ -138,11 +145,14 @@ def export(network: FrameNetwork, path: Path, kind: str, size: Size | None, desc
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # what depends on Python values doesn't depend on the frame
         if kind == "onnx":
-            _write_onnx(network, path, example, size is None, text)
-        elif kind == "torchscript":
-            torch.jit.save(torch.jit.trace(network, example, check_trace=False), path, {METADATA: text})
+            _write_onnx(FrameNetwork(network), path, example, size is None, text)
+            {"fp32": lambda _: None, "fp16": _halve, "int8": _quantise}[precision](path)
+            return
+        frame_network = FrameNetwork(network, half=precision == "fp16")
+        if kind == "torchscript":
+            torch.jit.save(torch.jit.trace(frame_network, example, check_trace=False), path, {METADATA: text})
         else:
-            program = torch.export.export(network, example, strict=False)
+            program = torch.export.export(frame_network, example, strict=False)
             torch.export.save(program, path, extra_files={METADATA: text})
 
 
@@ -169,7 +179,36 @@ def _write_onnx(network: FrameNetwork, path: Path, example: tuple[Tensor, Tensor
     onnx.save(model, path)
 
 
-def quantise(path: Path) -> None:
+def _halve(path: Path) -> None:
+    """Convolve in 16 bits, in an ONNX file; all else stays in 32, as under autocast."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    model = onnx.load(path)
+    weights = {value.name: value for value in model.graph.initializer}
+    nodes: list[onnx.NodeProto] = []
+    for node in model.graph.node:
+        if node.op_type != "Conv":
+            nodes.append(node)
+            continue
+        inputs, answer = list(node.input), node.output[0]
+        for place, name in enumerate(inputs):
+            if name not in weights:  # the frame's, or another name for a weight
+                inputs[place] = f"{answer}_{place}_half"
+                nodes.append(helper.make_node("Cast", [name], [inputs[place]], to=TensorProto.FLOAT16))
+            elif weights[name].data_type != TensorProto.FLOAT16:
+                halved = numpy_helper.to_array(weights[name]).astype(np.float16)
+                weights[name].CopyFrom(numpy_helper.from_array(halved, name))
+        half = helper.make_node("Conv", inputs, [f"{answer}_half"], name=node.name)
+        half.attribute.extend(node.attribute)
+        nodes += [half, helper.make_node("Cast", half.output, [answer], to=TensorProto.FLOAT)]
+    del model.graph.node[:]
+    model.graph.node.extend(nodes)
+    onnx.checker.check_model(model)
+    onnx.save(model, path)
+
+
+def _quantise(path: Path) -> None:
     """Convolve in 8 bits, in an ONNX file: weights from here on, activations by each frame's own range.
 
     Ranges that are fixed beforehand would need frames like those to come, and depth's differ by a hundred.

@@ -31,7 +31,7 @@ class FrameNetwork(nn.Module):
 
     def __init__(self, network: nn.Module, half: bool = False) -> None:
         super().__init__()
-        self.network, self.half = network, half
+        self.network, self.half_precision = network, half
         self.eval()
 
     def forward(self, rgb: Tensor, depth_m: Tensor) -> tuple[Tensor, ...]:
@@ -40,7 +40,7 @@ class FrameNetwork(nn.Module):
         known = (depth_m > 0) & (depth_m < torch.inf)  # NaN is neither
         depth = torch.where(known, depth_m, 0)[None, None]
         half = torch.autocast(rgb.device.type, torch.float16, cache_enabled=False)
-        with half if self.half else nullcontext():
+        with half if self.half_precision else nullcontext():
             output = self.network(colour, depth)
         aligned = (255 * output.rgb_aligned[0].float().clamp(0, 1)).round().to(torch.uint8)
         return (

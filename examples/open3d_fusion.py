@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, required=True, help=".ply of the completed depth; .measured.ply goes beside it"
     )
-    parser.add_argument("--checkpoint", type=Path, help="weights; the released ones where not given")
+    parser.add_argument("--checkpoint", type=Path, help="weights; by default the released ones")
     parser.add_argument("--voxel", type=float, default=0.1, metavar="M", help="default: 0.1 m")
     parser.add_argument("--far", type=float, default=30.0, metavar="M", help="leave out what is farther; default: 30 m")
     parser.add_argument("--confidence", type=float, default=0.5, help="leave out what is believed less; default: 0.5")

@@ -40,9 +40,8 @@ class CompletionNode(Node):
     def complete(self, rgb: Image, depth: Image, camera: CameraInfo) -> None:
         """Publish what the network makes of one pair, on the depth image's grid and clock."""
         colour, stored = self.bridge.imgmsg_to_cv2(rgb, "rgb8"), self.bridge.imgmsg_to_cv2(depth, "passthrough")
-        depth_m = stored.astype(np.float32) / (
-            1000 if stored.dtype == np.uint16 else 1
-        )  # REP 118: millimetres or metres
+        per_metre = 1000 if stored.dtype == np.uint16 else 1  # REP 118: millimetres or metres
+        depth_m = stored.astype(np.float32) / per_metre
         result = self.model(colour, depth_m, K=np.array(camera.k, np.float32).reshape(3, 3))
         self.depth.publish(self.bridge.cv2_to_imgmsg(result.depth_m, "32FC1", header=depth.header))
         points_m, colours = result.point_cloud(min_confidence=0.5)

@@ -46,7 +46,7 @@ def test_a_file_for_any_size_gives_the_depths_of_eager_mode_at_every_size(kind: 
     if kind == "onnx":
         pytest.importorskip("onnxruntime")
     network, path = make(), tmp_path / f"network{command.SUFFIXES[kind]}"
-    export(FrameNetwork(network), path, kind, None, {})
+    export(network, path, kind, "fp32", None, {})
     assert _differ_m(network, open_exported(path, kind), Size(64, 64), Size(75, 101), Size(130, 67)) < MILLIMETRE
 
 
@@ -55,7 +55,7 @@ def test_a_file_for_one_size_gives_the_depths_of_eager_mode(kind: str, tmp_path:
     if kind == "onnx":
         pytest.importorskip("onnxruntime")
     network, path, size = joint(), tmp_path / f"network{command.SUFFIXES[kind]}", Size(65, 83)
-    export(FrameNetwork(network), path, kind, size, {})
+    export(network, path, kind, "fp32", size, {})
     assert _differ_m(network, open_exported(path, kind), size) < MILLIMETRE
 
 
@@ -84,9 +84,7 @@ def test_lower_precision_is_of_the_convolutions_alone(precision: str, tmp_path: 
     import onnx
 
     network, path, size = half_resolution(), tmp_path / "network.onnx", Size(70, 90)
-    export(FrameNetwork(network, precision == "fp16"), path, "onnx", size, {})
-    if precision == "int8":
-        command.quantise(path)
+    export(network, path, "onnx", precision, size, {})
     model = onnx.load(path)
     kinds = {node.op_type for node in model.graph.node}
     halves = {value.name for value in model.graph.initializer if value.data_type == onnx.TensorProto.FLOAT16}
@@ -167,7 +165,7 @@ def test_onnx_runtime_agrees_within_a_millimetre_on_real_frames(
 ) -> None:
     pytest.importorskip("onnxruntime")
     network, path = half_resolution(), tmp_path / "network.onnx"
-    export(FrameNetwork(network), path, "onnx", None, {})
+    export(network, path, "onnx", "fp32", None, {})
     frame = torch.from_numpy(read_rgb(real_data / rgb)), torch.from_numpy(read_depth_m(real_data / depth, scale))
     with torch.no_grad():
         ours = dict(zip(OUTPUTS, FrameNetwork(network)(*frame), strict=True))

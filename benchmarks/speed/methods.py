@@ -12,9 +12,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from depthreg.baselines.completion import ip_basic
-from depthreg.checkpoint import find_checkpoint, load_network
+from depthreg.checkpoint import RELEASED, load_network
 from depthreg.data.io import read_depth_m, read_rgb, write_depth_png, write_png
-from depthreg.export import Size, export, made_frame, open_exported, quantise
+from depthreg.export import Size, export, made_frame, open_exported
 from depthreg.frame_network import FrameNetwork
 from depthreg.model import Model
 from depthreg.networks import TinyUNet
@@ -34,14 +34,14 @@ class Case:
         precision: One of those that the method lists.
         size: Of the frame.
         threads: That may compute.
-        checkpoint: Our weights; those of `depthreg complete` where None.
+        checkpoint: Our weights.
     """
 
     method: str
     precision: str
     size: Size
     threads: int
-    checkpoint: Path | None = None
+    checkpoint: Path = RELEASED
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def _cast(run: Callable[[], object], precision: str) -> Callable[[], object]:
 
 
 def _ours(case: Case) -> nn.Module:
-    return load_network(find_checkpoint(case.checkpoint))
+    return load_network(case.checkpoint)
 
 
 def eager(case: Case) -> Runner:
@@ -95,9 +95,7 @@ def onnx_runtime(case: Case) -> Runner:
     network = _ours(case)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "network.onnx"
-        export(FrameNetwork(network), path, "onnx", case.size, {})
-        if case.precision == "int8":
-            quantise(path)
+        export(network, path, "onnx", case.precision, case.size, {})
         session = open_exported(path, "onnx", case.threads)
     frame = made_frame(case.size)
     return Runner(lambda: session(*frame), _millions(network))
