@@ -10,6 +10,8 @@ from torch import Tensor, nn
 from depthreg.networks.priors import FILLINGS, Priors
 
 MAX_CORRECTION = 1.0  # of the chosen filling's log-depth
+ANCHOR_STRIDES = (8, 4, 2)  # of the grids on which returns correct what lies around them, in pixels
+ANCHOR_REACH = 0.3  # in log-depth: a return this far from the answer is taken for another surface's, by three quarters
 
 
 def conv_norm_relu(in_channels: int, out_channels: int, stride: int = 1) -> nn.Sequential:
@@ -74,13 +76,35 @@ def neighbours(x: Tensor, dilation: int) -> Tensor:
     return torch.cat([padded[..., i : i + height, j : j + width] for i in steps for j in steps], dim=1)
 
 
+def anchored(dense: Tensor, returns: Tensor, valid: Tensor, trust: Tensor) -> Tensor:
+    """Shift dense log-depth to the returns around it, from coarse to fine: a mean of how far off it is at them.
+
+    What a network says at half resolution is off by a little everywhere, and each return says by how much.
+
+    Args:
+        dense: Log-depth, (B, 1, H, W).
+        returns: Measured log-depth.
+        valid: 1 where there is a return.
+        trust: In each return, in [0, 1].
+    """
+    size = dense.shape[-2:]
+    for stride in ANCHOR_STRIDES:
+        off = (returns - dense) * valid
+        near = trust / (1 + (off / ANCHOR_REACH).square()).square()
+        means = F.avg_pool2d(torch.cat([near * off, valid], dim=1), stride)
+        shift, there = F.interpolate(means, size=size, mode="bilinear", align_corners=False).split(1, dim=1)
+        dense = dense + shift / (there + 1e-3)
+    return dense
+
+
 class PropagationNet(nn.Module):
     """From aligned colour and a filled sparse depth map to dense log-depth at full resolution.
 
     All convolutions work on cells of 2 x 2 pixels and coarser, as full-resolution ones cost mostly memory traffic. A
     U-Net mixes the fillings of each cell and corrects the mixture; then every cell takes a convex mixture of its
     neighbours', several times, at shrinking distances, while cells with a trusted return keep it (convolutional
-    spatial propagation, Cheng et al., TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels.
+    spatial propagation, Cheng et al., TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels,
+    which trusted returns around them correct.
 
     Args:
         widths: Channels of the U-Net at strides 2, 4, 8, ...
@@ -137,5 +161,7 @@ class PropagationNet(nn.Module):
             depth = (affinity.softmax(dim=1) * neighbours(depth, dilation)).sum(dim=1, keepdim=True)
         weights = pixels.unflatten(1, (9, 4)).softmax(dim=1)
         dense = F.pixel_shuffle((weights * neighbours(depth, 1)[:, :, None]).sum(dim=1), 2)
-        dense = torch.lerp(dense, priors.returns, valid * F.pixel_shuffle(trust_pixel, 2).sigmoid())
+        trust_returns = F.pixel_shuffle(trust_pixel, 2).sigmoid()
+        dense = anchored(dense, priors.returns, valid, trust_returns)
+        dense = torch.lerp(dense, priors.returns, valid * trust_returns)
         return dense, F.softplus(F.pixel_shuffle(error, 2))
