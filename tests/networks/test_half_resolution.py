@@ -13,7 +13,7 @@ from depthreg.config import compose_config
 from depthreg.networks import HalfResolutionNetwork, LocalMatches
 from depthreg.networks.half_resolution import match_quality
 from depthreg.networks.priors import FAR_FACTOR, find_priors, window_max
-from depthreg.networks.propagation import neighbours
+from depthreg.networks.propagation import anchored, neighbours
 
 Make = Callable[..., HalfResolutionNetwork]
 MakeInput = Callable[..., tuple[Tensor, Tensor]]
@@ -115,6 +115,21 @@ def test_neighbours_are_those_at_the_dilations_distance() -> None:
     around = neighbours(x, 2)[0, :, 2, 3]
     assert around.tolist() == [1, 3, 5, 15, 17, 19, 29, 31, 33]  # row 2, column 3 holds 17
     assert neighbours(x, 2)[0, 0, 0, 0] == 0  # the border repeats
+
+
+def test_depth_that_is_off_by_little_is_shifted_to_the_returns_that_are_believed() -> None:
+    """A return of what stands behind, or one that is not believed, shifts nothing."""
+    generator = torch.Generator().manual_seed(0)
+    truth = torch.linspace(-1, 1, 96).expand(1, 1, 64, 96)
+    valid = (torch.rand(truth.shape, generator=generator) < 0.1).float()
+    off = 0.01 * torch.linspace(1, 2, 64)[:, None]
+    sure, unsure = torch.ones_like(truth), torch.zeros_like(truth)
+    found = anchored(truth + off, truth * valid, valid, sure)
+    assert (found - truth).abs().mean() < 0.1 * off.mean()
+    torch.testing.assert_close(anchored(truth + off, truth * valid, valid, unsure), truth + off)
+    torch.testing.assert_close(anchored(truth, truth * valid, valid, sure), truth)
+    behind = anchored(truth, (truth + 3) * valid, valid, sure)
+    assert (behind - truth).abs().max() < 0.2
 
 
 def test_matches_that_an_affine_explains_are_told_from_noise() -> None:
