@@ -90,9 +90,10 @@ def _registration(network: nn.Module, root: Path, counts: Counts, progress: Prog
         for kind, shares in (("large", registration.LARGE), ("any size", registration.ANY)):
             samples = registration.known_affines(frames, most_px, shares, counts.draws)
             compared = min(counts.compared, len(frames)) if shares == registration.LARGE else 0
-            what = f"{name}, {kind}"
-            errors = registration.measure(network, samples, progress, f"registration, {what}", methods, compared)
-            rows += registration.rows_of(errors, what, 2.5, 1.0, f"{len(frames)} frames x {counts.draws}")
+            what, of = f"{name}, {kind}", f"{len(frames)} frames x {counts.draws}"
+            doing = f"registration, {what}"
+            errors = registration.measure(network, samples, progress, doing, methods, compared, frames)
+            rows += [*registration.rows_of(errors, what, 2.5, 1.0, of), registration.consistency(errors, what, of)]
             if compared:
                 rows.append(registration.beside_classical(errors, what, compared))
     samples = registration.rendered(counts.rendered)

@@ -14,7 +14,7 @@ from depthreg.data.sample import Measurement
 from depthreg.evaluate import build_dataset
 from depthreg.evaluation.scores import run_network
 from depthreg.evaluation.settings import misalign
-from depthreg.geometry import corner_errors_px, identity_affine
+from depthreg.geometry import compose_affines, corner_errors_px, identity_affine
 from depthreg.report import OURS
 from depthreg.sensors.misalignment import REFERENCE_WIDTH_PX
 from depthreg.sensors.simulator import seeded_generator
@@ -25,6 +25,7 @@ from judging.table import Row
 Progress = Callable[[Iterable, str], Iterable]
 
 IDENTITY = "identity"
+CONSISTENCY = "ours, against its answer on the untouched frame"
 LIDAR_SHIFT_PX = 24.0  # of the worst corner, for 1242 px of width
 ROOM_SHIFT_PX = 0.05 * REFERENCE_WIDTH_PX
 LARGE, ANY = (0.85, 1.0), (0.0, 1.0)  # shares of the largest shift; LARGE ones leave the identity 16 px off on KITTI
@@ -38,11 +39,27 @@ class Errors:
 
     px: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, sample: Measurement, method: str, affine: torch.Tensor | np.ndarray | None) -> None:
-        """Add an estimate; None, no answer, leaves the colour where it is."""
+    def add(
+        self,
+        sample: Measurement,
+        method: str,
+        affine: torch.Tensor | np.ndarray | None,
+        before: torch.Tensor | None = None,
+    ) -> None:
+        """Add an estimate; None, no answer, leaves the colour where it is.
+
+        Args:
+            sample: With the affine that was put on it.
+            method: Whose estimate.
+            affine: The estimate.
+            before: What aligned the frame before that affine was put on it; nothing had to, where not given.
+        """
         estimate = identity_affine(1) if affine is None else torch.as_tensor(affine).float().reshape(1, 2, 3)
         height, width = sample["rgb"].shape[-2:]
-        error_px = corner_errors_px(estimate, sample["truth_affine_rgb_from_depth"], (height, width))
+        truth = sample["truth_affine_rgb_from_depth"]
+        error_px = corner_errors_px(
+            estimate, truth if before is None else compose_affines(truth, before), (height, width)
+        )
         self.px[method].append(error_px.mean().item())
 
     def medians(self, methods: Iterable[str] | None = None) -> dict[str, float]:
@@ -83,12 +100,29 @@ def measure(
     doing: str,
     methods: dict[str, Registrar],
     compared: int = 0,
+    untouched: Sequence[Measurement] = (),
 ) -> Errors:
-    """Corner errors of the network and the identity on all samples, of other methods on the first `compared`."""
+    """Corner errors of the network and the identity on all samples, of other methods on the first `compared`.
+
+    Args:
+        network: Ours.
+        samples: Frames with known affines put on them.
+        progress: Counts them.
+        doing: What it says.
+        methods: The others.
+        compared: How many samples those see.
+        untouched: The frames before that, in the samples' order, over and over. A frame whose colour and depth don't
+            line up to begin with, as a moving car's scan, makes any answer wrong that aligns them; how well answers
+            follow the affine shows beside their answers on these.
+    """
     errors = Errors()
+    before = [run_network(network, frame).affine_rgb_from_depth for frame in untouched]
     for index, sample in enumerate(progress(samples, doing)):
-        errors.add(sample, OURS, run_network(network, sample).affine_rgb_from_depth)
+        affine = run_network(network, sample).affine_rgb_from_depth
+        errors.add(sample, OURS, affine)
         errors.add(sample, IDENTITY, None)
+        if before:
+            errors.add(sample, CONSISTENCY, affine, before[index % len(before)])
         if index < compared:
             rgb, depth_m = to_picture(sample["rgb"][0]), sample["depth_m"][0, 0].numpy()
             for name, register in methods.items():
@@ -118,10 +152,16 @@ def rows_of(errors: Errors, what: str, bar_px: float, aim_px: float, of: str) ->
     ]
 
 
+def consistency(errors: Errors, what: str, of: str) -> Row:
+    """How far answers are from following the affine that was put on a frame."""
+    median = float(np.median(errors.px[CONSISTENCY]))
+    return Row("registration", f"corner error (px), median, {what}: {CONSISTENCY}", median, value=median, of=of)
+
+
 def beside_classical(errors: Errors, what: str, compared: int) -> Row:
     """Our median beside the best of the methods that learn nothing, on the same frames: 5 times better is the bar."""
     ours = float(np.median(errors.px[OURS][:compared]))
-    theirs = errors.medians(name for name in errors.px if name not in (OURS, IDENTITY))
+    theirs = errors.medians(name for name in errors.px if name not in (OURS, IDENTITY, CONSISTENCY))
     best = min(theirs.values())
     absent = "" if "elastix" in theirs else "; elastix isn't installed"
     return Row(

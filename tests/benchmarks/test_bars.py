@@ -83,6 +83,21 @@ def test_a_registration_that_is_right_has_no_error_and_one_that_does_nothing_has
     assert 0.4 * SHIFT_PX < np.median(idle.px["identity"]) * 1242 / SIZE[1] < SHIFT_PX and width_px < SIZE[1]
 
 
+def test_answers_that_follow_the_affine_are_consistent_though_the_frame_was_off_before():
+    frames = [make_frame(k) for k in range(2)]
+    samples = registration.known_affines(frames, SHIFT_PX, registration.LARGE, draws=2)
+    off = torch.tensor([[[1.0, 0.0, 3.0], [0.0, 1.0, 4.0]]])
+    answers = {frame["rgb"].sum().item(): off for frame in frames}
+    for sample in samples:
+        truth = sample["truth_affine_rgb_from_depth"]
+        shift = truth[..., :2] @ off[..., 2:] + truth[..., 2:]  # of A(p + off)
+        answers[sample["rgb"].sum().item()] = torch.cat([truth[..., :2], shift], dim=-1)
+    network = Answers(affine=lambda rgb: answers[rgb.sum().item()])
+    errors = registration.measure(network, samples, quietly, "", {}, untouched=frames)
+    assert registration.consistency(errors, "here", "").value == pytest.approx(0, abs=1e-3)
+    assert registration.rows_of(errors, "here", 2.5, 1.0, "")[0].value == pytest.approx(5, rel=0.1)
+
+
 def test_every_draw_is_another_affine_and_the_same_each_time():
     frames = [make_frame(0)]
     first, again = (registration.known_affines(frames, SHIFT_PX, registration.ANY, draws=3) for _ in range(2))
