@@ -59,7 +59,7 @@ def random_streaks(
     height, width = size
     x, y, luck, excess = torch.rand(4, len(rate_mm_h), _DROPS, generator=generator).to(rate_mm_h.device)
     focal_px = intrinsics[:, :1, 0]
-    distance_m = _FARTHEST_M * luck ** (1 / 3)  # as many in each cubic metre
+    distance_m = _FARTHEST_M * (1 - luck) ** (1 / 3)  # as many in each cubic metre, none at 0
     diameter_m = 1e-3 * (_SMALLEST_MM - torch.log(1 - excess) / _sizes_per_mm(rate_mm_h)[:, None])
     speed_m_s = 200 * (diameter_m / 2).sqrt()
     pyramid_m3 = width * height / focal_px**2 * _FARTHEST_M**3 / 3

@@ -135,6 +135,14 @@ def test_a_streak_covers_its_opacity_times_its_length_along_its_slant(slant: flo
     assert away == pytest.approx(slant * 12**2 / 12, abs=0.3)
 
 
+@pytest.mark.parametrize("luck", [0.0, 1 - 2**-24])  # the least and the most that torch.rand draws
+def test_the_rarest_draws_of_a_drop_are_drops_too(luck: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "rand", lambda *size, generator: torch.full(size, luck))
+    streaks = random_streaks(torch.tensor([50.0]), K, SIZE, 0.004)
+    assert all(torch.isfinite(part).all() for part in streaks)
+    assert torch.isfinite(draw_streaks(streaks, torch.zeros(1), SIZE, 40)).all()
+
+
 def test_streaks_beyond_the_image_leave_nothing() -> None:
     outside = Streaks(*(torch.tensor([[value] * 2]) for value in (-9.0, 18.0, 6.0, 0.5)))
     assert (draw_streaks(outside, torch.zeros(1), SIZE, 9) == 0).all()
