@@ -60,7 +60,7 @@ def build_page(model: Model, examples: Sequence[Example], folder: Path) -> gr.Bl
 
 def _examples(examples: Sequence[Example]) -> gr.Gallery:
     thumbnails = [(_thumbnail(example.rgb), example.title) for example in examples]
-    look = {"columns": len(examples), "height": "auto", "object_fit": "cover", "elem_id": "examples"}
+    look = {"columns": len(examples), "height": 210, "object_fit": "cover", "elem_id": "examples"}
     return gr.Gallery(thumbnails, label="Examples", allow_preview=False, buttons=[], **look)
 
 
