@@ -117,8 +117,10 @@ def next_in_column(values: Tensor, valid: Tensor, side: int) -> tuple[Tensor, Te
     distance = torch.zeros_like(values)
     stride = 1
     while stride < REACH_PX // 2:
-        others = [shifted(part, side * stride) for part in (values, valid, distance + stride)]
-        found = ~valid & others[1]
+        # Validity as numbers: Inductor's C++ for a padded bool doesn't compile (torch 2.13).
+        parts = (values, valid.to(values.dtype), distance + stride)
+        others = [shifted(part, side * stride) for part in parts]
+        found = ~valid & (others[1] > 0)
         values, distance = torch.where(found, others[0], values), torch.where(found, others[2], distance)
         valid = valid | found
         stride *= 2
