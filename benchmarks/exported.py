@@ -1,6 +1,6 @@
 """How far exported networks are from PyTorch's on real frames, and what that does to their errors.
 
-python benchmarks/exported.py --markdown docs/exported.md
+python benchmarks/exported.py --markdown runs/exported.md
 
 Reads real frames from the folder DEPTHREG_REAL_DATA, else from ../shared/real beside the checkout. Differences are of
 depths up to 80 m, beyond which KITTI's scanner sees nothing; RMSE is over all frames of a set, each counting as much.

@@ -184,7 +184,8 @@ class Result(Generic[Array]):
         depths, give or take 5 %. The sky above a LiDAR's highest beam is not.
 
         Args:
-            min_confidence: Leave out what the network believes less, see `confidence`.
+            min_confidence: Leave out what the network believes less, see `confidence`; one that can't tell leaves
+                nothing out.
 
         Raises:
             ValueError: The model wasn't given K, or this is a batch.
@@ -196,8 +197,7 @@ class Result(Generic[Array]):
         returns_m = sparse_m[sparse_m > 0]
         kept = (completed_m >= 0.95 * returns_m.min()) & (completed_m <= 1.05 * returns_m.max())
         kept &= warp_affine(sample["rgb"], self._output.affine_rgb_from_depth)[1][0, 0]
-        if min_confidence > 0:
-            kept &= self._confidence()[0, 0] >= min_confidence
+        kept &= ~(self._confidence()[0, 0] < min_confidence)  # NaN is kept
         mask = kept.cpu().numpy() & _hull(sparse_m.cpu().numpy() > 0)
         points_m = unproject(completed_m.cpu(), sample["intrinsics"][0]).numpy()
         return PointCloud(points_m[mask], to_picture(self._output.rgb_aligned[0])[mask])

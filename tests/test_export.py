@@ -44,7 +44,7 @@ def _differ_m(network: nn.Module, exported: command.Exported, *sizes: Size) -> f
 @pytest.mark.parametrize("kind", ["onnx", "torchscript"])
 def test_a_file_for_any_size_gives_the_depths_of_eager_mode_at_every_size(kind: str, make, tmp_path: Path) -> None:
     if kind == "onnx":
-        pytest.importorskip("onnxruntime")
+        pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     network, path = make(), tmp_path / f"network{command.SUFFIXES[kind]}"
     export(network, path, kind, "fp32", None, {})
     assert _differ_m(network, open_exported(path, kind), Size(64, 64), Size(75, 101), Size(130, 67)) < MILLIMETRE
@@ -53,7 +53,7 @@ def test_a_file_for_any_size_gives_the_depths_of_eager_mode_at_every_size(kind: 
 @pytest.mark.parametrize("kind", command.SUFFIXES)
 def test_a_file_for_one_size_gives_the_depths_of_eager_mode(kind: str, tmp_path: Path) -> None:
     if kind == "onnx":
-        pytest.importorskip("onnxruntime")
+        pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     network, path, size = joint(), tmp_path / f"network{command.SUFFIXES[kind]}", Size(65, 83)
     export(network, path, kind, "fp32", size, {})
     assert _differ_m(network, open_exported(path, kind), size) < MILLIMETRE
@@ -80,7 +80,7 @@ def test_inside_is_what_comes_before_and_after_the_network(make_network) -> None
 
 @pytest.mark.parametrize("precision", ["fp16", "int8"])
 def test_lower_precision_is_of_the_convolutions_alone(precision: str, tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     import onnx
 
     network, path, size = half_resolution(), tmp_path / "network.onnx", Size(70, 90)
@@ -106,7 +106,7 @@ def _run(folder: Path, *argv: str) -> int:
 
 
 def test_the_command_writes_a_file_that_says_what_goes_in_and_comes_out(tmp_path: Path, capsys) -> None:
-    onnxruntime = pytest.importorskip("onnxruntime")
+    onnxruntime = pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     path = tmp_path / "network.onnx"
     assert _run(tmp_path, str(path), "--size", "80x64") == 0
     assert "80x64" in capsys.readouterr().out
@@ -163,7 +163,7 @@ def test_a_missing_package_is_named_with_how_to_install_it(tmp_path: Path, monke
 def test_onnx_runtime_agrees_within_a_millimetre_on_real_frames(
     rgb: str, depth: str, scale: float, real_data: Path, tmp_path: Path
 ) -> None:
-    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     network, path = half_resolution(), tmp_path / "network.onnx"
     export(network, path, "onnx", "fp32", None, {})
     frame = torch.from_numpy(read_rgb(real_data / rgb)), torch.from_numpy(read_depth_m(real_data / depth, scale))

@@ -16,7 +16,7 @@ def test_differences_are_of_depths_that_a_sensor_sees_and_errors_of_known_truth(
 
 
 def test_every_way_of_exporting_is_a_row(make_network) -> None:
-    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxruntime", reason="pip install 'depthreg[export]'")
     generator = torch.Generator().manual_seed(0)
     depth_m = 5 + torch.rand(1, 1, 64, 70, generator=generator)
     sample = Measurement(rgb=torch.rand(1, 3, 64, 70, generator=generator), depth_m=depth_m, truth_depth_m=depth_m)
