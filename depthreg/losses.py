@@ -152,6 +152,23 @@ class RelativeL1:
 
 
 @dataclass(frozen=True)
+class EarlierDepth:
+    """What depth was on the way, as `LogDepthL1` and `RelativeL1` see it, their sum (deep supervision; Lee 2015).
+
+    Without it a network may say anything before returns correct it, and depends on how many of them there are.
+    """
+
+    weight: float
+
+    def __call__(self, output: JointOutput, measurement: Measurement) -> Tensor:
+        """Of each image, (B,); 0 from a network that doesn't say."""
+        terms = (LogDepthL1(1.0), RelativeL1(1.0))
+        earlier = [output._replace(depth_m=depth_m) for depth_m in output.earlier_m]
+        told = [term(one, measurement) for one in earlier for term in terms]
+        return torch.stack(told).sum(dim=0) / len(earlier) if told else torch.zeros_like(output.trust)
+
+
+@dataclass(frozen=True)
 class RelativeRmse:
     """Root mean square depth error around the returns, as a share of the image's mean depth.
 

@@ -1,11 +1,11 @@
-"""Shadows darken straight bands, reflections add structure; truth, depth and the other samples stay."""
+"""Shadows darken straight bands, reflections add structure, contrast fades; truth, depth and the other samples stay."""
 
 import numpy as np
 import pytest
 import torch
 
 from depthreg.data.sample import Measurement
-from depthreg.distractors import CLEAREST, DARKEST, add_distractors, shade
+from depthreg.distractors import CLEAREST, DARKEST, FAINTEST, add_distractors, shade
 from depthreg.sensors.simulator import seeded_generator
 
 
@@ -60,4 +60,15 @@ def test_reflections_stay_fainter_than_what_they_cover() -> None:
     reflected = [
         add_distractors(Measurement(rgb=white_above), _generators(1, seed), share=1.0)["rgb"] for seed in range(20)
     ]
-    assert max(float(rgb[:, :, 32:].max()) for rgb in reflected) <= CLEAREST
+    assert max(float(rgb[:, :, 32:].max() - rgb[:, :, 32:].min()) for rgb in reflected) <= CLEAREST
+
+
+def test_contrast_fades_in_some_and_is_never_gone() -> None:
+    chequered = torch.zeros(1, 3, 64, 96)
+    chequered[..., ::2, ::2] = 1
+    spans = []
+    for seed in range(40):
+        rgb = add_distractors(Measurement(rgb=chequered), _generators(1, seed), share=0.3)["rgb"]
+        spans.append(float(rgb.max() - rgb.min()))
+    assert min(spans) >= (1 - FAINTEST) * (1 - DARKEST) ** 3 and 1.0 in spans
+    assert sum(span < 0.9 for span in spans) > 5

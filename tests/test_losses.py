@@ -15,6 +15,7 @@ from depthreg.losses import (
     CornerError,
     DepthL1,
     Dissimilarity,
+    EarlierDepth,
     ErrorLikelihood,
     JointLoss,
     LogDepthL1,
@@ -203,6 +204,15 @@ def test_a_batch_costs_the_mean_of_its_images_however_many_pixels_have_truth() -
 def test_a_loss_that_teaches_nothing_or_the_wrong_way_is_refused(weights: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="weights must be"):
         JointLoss(**{name: DepthL1(weight) for name, weight in weights.items()})
+
+
+def test_depth_on_the_way_costs_the_mean_of_what_it_was() -> None:
+    output, measurement = make_case(SHIFT, SHIFT)
+    measurement["depth_m"] = torch.ones_like(output.depth_m)
+    loss = JointLoss(log=LogDepthL1(1), earlier=EarlierDepth(0.5))
+    assert loss(output, measurement)["earlier"].item() == 0  # of a network that doesn't say
+    halves = output._replace(earlier_m=(output.depth_m, torch.full_like(output.depth_m, 5.0)))  # 8 and 5 m for 10 m
+    assert loss(halves, measurement)["earlier"].item() == pytest.approx((np.log(10 / 8) + 0.2 + np.log(2) + 0.5) / 2)
 
 
 def test_depth_errors_without_a_unit_are_those_of_the_formula() -> None:

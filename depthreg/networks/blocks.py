@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 MAX_EXPORTED_SIDE_PX = 4096  # of a network that is exported for any size
+MOMENTUM = 0.5  # of a thin plate that settles
 
 
 def doublings(*sides: int) -> int:
@@ -146,10 +147,16 @@ def fill_nearest(values: Tensor, valid: Tensor, reach_px: int = 16) -> Tensor:
     return torch.where(valid, values, filled)
 
 
-def fill_smoothly(values: Tensor, valid: Tensor) -> Tensor:
+def fill_smoothly(values: Tensor, valid: Tensor, plate_steps: int = 0) -> Tensor:
     """Fill holes from ever coarser averages of the valid values (pull-push; Gortler et al., SIGGRAPH 1996).
 
     Smooth, so it invents no edges half way between two returns, as the nearest values would. See `fill_nearest`.
+
+    Args:
+        values: (B, 1, H, W); ignored where not valid.
+        valid: bool, (B, 1, H, W).
+        plate_steps: How often each level bends like a thin plate held by its valid values (Terzopoulos, PAMI 1986):
+            averages alone leave steps, where a plane is wanted. None by default.
     """
     weight = valid.to(values.dtype)
     levels = [(values * weight, weight)]  # values and whether there are any, finest first
@@ -158,7 +165,26 @@ def fill_smoothly(values: Tensor, valid: Tensor) -> Tensor:
     filled = levels.pop()[0]
     for value, weight in reversed(levels):
         filled = value + (1 - weight) * upsample_to(filled, value)
+        if plate_steps:
+            filled = _bend(filled, 1 - weight, plate_steps)
     return filled
+
+
+def _bend(values: Tensor, free: Tensor, steps: int) -> Tensor:
+    """Descend to the least bending energy where `free` is 1, with momentum (Polyak, 1964); 0 holds a value fast.
+
+    The energy is the square of the Laplacian, here the mean of 3 x 3 pixels less the middle: its eigenvalues lie in
+    [-4/3, 0], so steps of 1 are stable. All in pooling, which autocast leaves in single precision.
+    """
+    values = before = values + free * _laplacian(values)
+    for _ in range(steps):
+        bending = _laplacian(_laplacian(values))
+        values, before = values - free * bending + MOMENTUM * (values - before), values
+    return values
+
+
+def _laplacian(x: Tensor) -> Tensor:
+    return F.avg_pool2d(x, 3, stride=1, padding=1, count_include_pad=False) - x
 
 
 def _pool_valid(values: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:

@@ -1,5 +1,6 @@
 """The released network: registration and completion on cells of 2 x 2 pixels, in relative log-depth."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from depthreg.geometry import exact_product, identity_affine, transform_points, warp_affine
-from depthreg.networks.blocks import conv_norm_gelu, padding_to
+from depthreg.networks.blocks import conv_norm_gelu, padding_to, upsample_to
 from depthreg.networks.output import JointOutput, check_inputs
 from depthreg.networks.priors import Priors, find_priors
 from depthreg.networks.propagation import PropagationNet
@@ -29,9 +30,8 @@ class HalfResolutionNetwork(nn.Module):
         dilations: Of the propagation's steps, in cells.
         registration_widths: Channels of registration at strides 2, 4, 8, ...
         registration_hidden: Width of the convolutions that read a correlation.
-        matchers: Stride, radius and window of each matcher, see `Matcher`; a stride of 4 at least. Without any, colour
-            stays where it is.
-        looks: How often each of them looks.
+        matchers: Stride, radius and window of each matcher and how often it looks, see `Matcher`; a stride of 4 at
+            least. Without any, colour stays where it is.
         use_rgb: Let completion see colour; without, it sees depth alone, and there must be no matchers.
 
     Raises:
@@ -44,8 +44,7 @@ class HalfResolutionNetwork(nn.Module):
         dilations: Sequence[int] = (4, 2, 1, 2, 1, 1),
         registration_widths: Sequence[int] = (32, 32, 64),
         registration_hidden: int = 96,
-        matchers: Sequence[tuple[int, int, int]] = ((8, 4, 9), (4, 2, 17)),
-        looks: int = 2,
+        matchers: Sequence[Sequence[int]] = ((8, 4, 9, 6), (4, 2, 17, 3)),
         use_rgb: bool = True,
     ) -> None:
         super().__init__()
@@ -57,15 +56,16 @@ class HalfResolutionNetwork(nn.Module):
             "registration_widths": list(registration_widths),
             "registration_hidden": registration_hidden,
             "matchers": [list(matcher) for matcher in matchers],
-            "looks": looks,
             "use_rgb": use_rgb,
         }
         self.registers, self.use_rgb = bool(matchers), use_rgb
         self.registration = nn.Module()  # that nobody may look for it in vain
         if matchers:
-            self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers, looks)
+            self.registration = HalfResolutionRegistration(registration_widths, registration_hidden, matchers)
         self.completion = PropagationNet(completion_widths, dilations)
         self.stride = max(self.completion.stride, self.registration.stride if matchers else 1)
+        # Convolutions on CPUs take a fifth less time. The stub of `to` lacks the argument.
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, rgb: Tensor, depth_m: Tensor, register: bool = True) -> JointOutput:
         """Register and complete.
@@ -86,10 +86,11 @@ class HalfResolutionNetwork(nn.Module):
             valid = (depth > 0).to(depth.dtype)
         affine, trust, matches = self._register(rgb_padded, priors, register)
         rgb_aligned, _ = warp_affine(rgb_padded, affine)
-        relative, log_error = self.completion(rgb_aligned, trust if self.use_rgb else 0 * trust, valid, priors)
-        completed = (bounded(relative, priors.returns) + priors.centre).exp()
-        completed, rgb_aligned, log_error = (x[..., :height, :width] for x in (completed, rgb_aligned, log_error))
-        return JointOutput(completed, rgb_aligned, affine, matches, trust, log_error)
+        relative, log_error, earlier = self.completion(rgb_aligned, trust if self.use_rgb else 0 * trust, valid, priors)
+        whole = [relative, *(upsample_to(x, relative) for x in earlier)] if self.training else [relative]
+        depths = [(bounded(x, priors.returns) + priors.centre).exp()[..., :height, :width] for x in whole]
+        rgb_aligned, log_error = (x[..., :height, :width] for x in (rgb_aligned, log_error))
+        return JointOutput(depths[0], rgb_aligned, affine, matches, trust, log_error, tuple(depths[1:]))
 
     def _register(self, rgb: Tensor, priors: Priors, register: bool) -> tuple[Tensor, Tensor, list[LocalMatches]]:
         if register and self.registers:
@@ -113,18 +114,15 @@ class HalfResolutionRegistration(nn.Module):
     Args:
         widths: Channels at strides 2, 4, 8, ...
         hidden: Width of the convolutions that read a correlation.
-        matchers: Stride, radius and window of each.
-        looks: How often each of them looks.
+        matchers: See `RegistrationNet`.
     """
 
-    def __init__(
-        self, widths: Sequence[int], hidden: int, matchers: Sequence[tuple[int, int, int]], looks: int
-    ) -> None:
+    def __init__(self, widths: Sequence[int], hidden: int, matchers: Sequence[Sequence[int]]) -> None:
         super().__init__()
         first, *tower = widths
         self.first_rgb = conv_norm_gelu(12 + 2, first)
         self.first_depth = conv_norm_gelu(3 + 1 + 1 + 1 + 4, first)
-        self.match = RegistrationNet(first, tower, hidden, matchers, in_stride=2, looks=looks)
+        self.match = RegistrationNet(first, tower, hidden, matchers, in_stride=2)
         answer = nn.Linear(32, 1)
         nn.init.constant_(answer.bias, 2.0)  # trusts until it learns better
         self.trust = nn.Sequential(nn.Linear(3 * len(matchers), 32), nn.GELU(), answer)
@@ -147,7 +145,7 @@ class HalfResolutionRegistration(nn.Module):
         seen = torch.cat([filled, priors.sparse, priors.valid, priors.distance, *edges_depth], dim=1)
         first_rgb = self.first_rgb(torch.cat([F.pixel_unshuffle(rgb, 2), edges_rgb], dim=1))
         affine, matches = self.match(first_rgb, self.first_depth(seen))
-        last_looks = matches[self.match.looks - 1 :: self.match.looks]
+        last_looks = [matches[seen - 1] for seen in itertools.accumulate(self.match.looks)]
         quality = torch.cat([match_quality(match) for match in last_looks], dim=1).detach()
         return affine, self.trust(quality.to(rgb.dtype)).float().sigmoid()[:, 0], matches
 
@@ -162,7 +160,7 @@ def match_quality(matches: LocalMatches) -> Tensor:
     entropy = -(chance * scores.log_softmax(dim=-1)).sum(dim=-1) / math.log(len(offsets_px))
     displacements_px = exact_product(chance, offsets_px)
     places = points_px.expand(len(scores), -1, -1)
-    even = torch.full_like(entropy, 1 / entropy.shape[1])
+    even = torch.full_like(displacements_px, 1 / displacements_px.shape[1])
     fitted_px = transform_points(fit_affine(points_px, displacements_px, even), places) - places
     unexplained = (displacements_px - fitted_px).norm(dim=-1) / offsets_px.abs().max()
     return torch.stack([part.mean(dim=1) for part in (entropy, chance.amax(dim=-1), unexplained)], dim=1)

@@ -18,6 +18,7 @@ class JointOutput(NamedTuple):
     matches: list[LocalMatches]  # what registration saw on the way; training learns from it
     trust: Tensor  # (B,) in [0, 1], how likely the affine is right; 1 from a network that can't tell
     log_error: Tensor  # (B, 1, H, W) expected absolute error of log(depth); NaN from a network that can't tell
+    earlier_m: tuple[Tensor, ...] = ()  # depth as it was on the way, (B, 1, H, W) each; training learns from it
 
 
 def check_inputs(rgb: Tensor, depth_m: Tensor) -> None:

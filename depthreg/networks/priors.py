@@ -13,6 +13,7 @@ FILLINGS = (
     "nearest return",
     "nearest surface",
     "smooth",
+    "thin plate",
     "above",
     "below",
     "plane between both",
@@ -20,6 +21,7 @@ FILLINGS = (
 )
 FAR_FACTOR = 1.5  # the sky, as a multiple of the farthest return
 REACH_PX = 128  # farther than this from any return, filling is smooth
+PLATE_STEPS = 8  # at each level: scattered points are filled as well as by planes between them
 NOTHING = -1e9  # less than any log-depth, and finite: ONNX Runtime's maxima begin at the lowest finite number
 UP, DOWN = 1, -1  # directions in which to look for a return
 
@@ -29,7 +31,7 @@ class Priors(NamedTuple):
 
     centre: Tensor  # (B, 1, 1, 1) mean log-depth of the returns
     returns: Tensor  # (B, 1, H, W) of the pixels themselves, 0 where there is no return
-    candidates: Tensor  # (B, 7, h, w), see `FILLINGS`
+    candidates: Tensor  # (B, 8, h, w), see `FILLINGS`
     sparse: Tensor  # (B, 1, h, w) nearest of a cell's returns, 0 where there is none
     valid: Tensor  # (B, 1, h, w) 1 where a cell holds a return
     distance: Tensor  # (B, 1, h, w) log(1 + pixels to the nearest return), at most `REACH_PX`
@@ -53,11 +55,12 @@ def find_priors(depth_m: Tensor, surface_window: int = 7) -> Priors:
     valid = cells > NOTHING
     sparse = torch.where(valid, -cells, 0)
     nearest, smooth, distance_px = fill_around(sparse, valid)
+    plate = fill_smoothly(sparse, valid, PLATE_STEPS)
     around = window_max(cells, surface_window)
     surface = torch.where(around > NOTHING, -around, nearest)
     farthest = returns.amax(dim=(1, 2, 3), keepdim=True)  # at least the mean's 0
     sky = (farthest + math.log(FAR_FACTOR)).expand_as(smooth)
-    candidates = torch.cat([nearest, surface, smooth, *fill_columns(sparse, valid, nearest), sky], dim=1)
+    candidates = torch.cat([nearest, surface, smooth, plate, *fill_columns(sparse, valid, nearest), sky], dim=1)
     return Priors(centre, returns, candidates, sparse, valid.to(sparse.dtype), (1 + distance_px).log())
 
 

@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from depthreg.networks.priors import FILLINGS, Priors
 
-MAX_CORRECTION = 1.0  # of the chosen filling's log-depth
 ANCHOR_STRIDES = (8, 4, 2)  # of the grids on which returns correct what lies around them, in pixels
 ANCHOR_REACH = 0.3  # in log-depth: a return this far from the answer is taken for another surface's, by three quarters
 
@@ -101,7 +100,7 @@ class PropagationNet(nn.Module):
     """From aligned colour and a filled sparse depth map to dense log-depth at full resolution.
 
     All convolutions work on cells of 2 x 2 pixels and coarser, as full-resolution ones cost mostly memory traffic. A
-    U-Net mixes the fillings of each cell and corrects the mixture; then every cell takes a convex mixture of its
+    U-Net mixes the fillings of each cell; then every cell takes a convex mixture of its
     neighbours', several times, at shrinking distances, while cells with a trusted return keep it (convolutional
     spatial propagation, Cheng et al., TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels,
     which trusted returns around them correct.
@@ -115,9 +114,9 @@ class PropagationNet(nn.Module):
         super().__init__()
         self.dilations = tuple(dilations)
         self.unet = UNet(self.IN_CHANNELS, widths)
-        # Of a cell: candidates, correction, trust in its return, neighbours of each step; of each of its 4 pixels:
+        # Of a cell: candidates, trust in its return, neighbours of each step; of each of its 4 pixels:
         # neighbours, trust in its return, expected error.
-        self.parts = [len(FILLINGS), 1, 1, *[9] * len(self.dilations), 36, 4, 4]
+        self.parts = [len(FILLINGS), 1, *[9] * len(self.dilations), 36, 4, 4]
         self.head = nn.Conv2d(widths[0], sum(self.parts), 3, padding=1)
         self._start_plainly()
         self.stride = 2 * self.unet.stride
@@ -125,9 +124,9 @@ class PropagationNet(nn.Module):
     def _start_plainly(self) -> None:
         """Before it has learned, the answer is the mean of the fillings but for the sky's; returns are kept."""
         centre = [2.0 if neighbour == 4 else 0.0 for neighbour in range(9)]
-        fillings, correction, trust = [0.0] * (len(FILLINGS) - 1) + [-4.0], [0.0], [2.0]
+        fillings, trust = [0.0] * (len(FILLINGS) - 1) + [-4.0], [2.0]
         pixels = [weight for weight in centre for _ in range(4)]
-        bias = [*fillings, *correction, *trust, *centre * len(self.dilations), *pixels, *trust * 4, *[-2.0] * 4]
+        bias = [*fillings, *trust, *centre * len(self.dilations), *pixels, *trust * 4, *[-2.0] * 4]
         nn.init.zeros_(self.head.weight)
         assert self.head.bias is not None
         self.head.bias.data = torch.tensor(bias)
@@ -136,7 +135,7 @@ class PropagationNet(nn.Module):
         12 + 1 + len(FILLINGS) + 4 + 4 + 1
     )  # colour, trust in it, candidates, returns and where they are, distance
 
-    def forward(self, rgb: Tensor, trust: Tensor, valid: Tensor, priors: Priors) -> tuple[Tensor, Tensor]:
+    def forward(self, rgb: Tensor, trust: Tensor, valid: Tensor, priors: Priors) -> tuple[Tensor, Tensor, list[Tensor]]:
         """Complete.
 
         Args:
@@ -146,15 +145,15 @@ class PropagationNet(nn.Module):
             priors: The sparse depth, filled.
 
         Returns:
-            Log-depth relative to the image's mean, and its expected absolute error, (B, 1, H, W) each.
+            Log-depth relative to the image's mean, and its expected absolute error, (B, 1, H, W) each; and what that
+            depth was before it spread and before it was enlarged, (B, 1, H / 2, W / 2) each.
         """
         seen = trust[:, None, None, None]
         features = [F.pixel_unshuffle(rgb * seen, 2), seen.expand_as(priors.valid), priors.candidates]
         features += [F.pixel_unshuffle(priors.returns, 2), F.pixel_unshuffle(valid, 2), priors.distance]
         read = self.head(self.unet(torch.cat(features, dim=1))).to(valid.dtype)
-        mixture, correction, trust_cell, *steps, pixels, trust_pixel, error = read.split(self.parts, dim=1)
-        depth = (mixture.softmax(dim=1) * priors.candidates).sum(dim=1, keepdim=True)
-        depth = depth + MAX_CORRECTION * (correction / MAX_CORRECTION).tanh()
+        mixture, trust_cell, *steps, pixels, trust_pixel, error = read.split(self.parts, dim=1)
+        depth = mixed = (mixture.softmax(dim=1) * priors.candidates).sum(dim=1, keepdim=True)
         kept = priors.valid * trust_cell.sigmoid()
         for dilation, affinity in zip(self.dilations, steps, strict=True):
             depth = torch.lerp(depth, priors.sparse, kept)
@@ -164,4 +163,4 @@ class PropagationNet(nn.Module):
         trust_returns = F.pixel_shuffle(trust_pixel, 2).sigmoid()
         dense = anchored(dense, priors.returns, valid, trust_returns)
         dense = torch.lerp(dense, priors.returns, valid * trust_returns)
-        return dense, F.softplus(F.pixel_shuffle(error, 2))
+        return dense, F.softplus(F.pixel_shuffle(error, 2)), [mixed, depth]

@@ -42,6 +42,9 @@ def edge_strength(image: Tensor, window: int = 17) -> Tensor:
 def local_correlation(fixed: Tensor, moving: Tensor, radius: int) -> Tensor:
     """Cosine similarity of every cell with the other image's cells around the same place.
 
+    As matrix products, 5 to 8 times as fast as a product for each displacement: of 2r cells in a row with the 4r that
+    lie within reach of any of them.
+
     Args:
         fixed: Features (B, C, h, w).
         moving: Features (B, C, h, w).
@@ -50,41 +53,78 @@ def local_correlation(fixed: Tensor, moving: Tensor, radius: int) -> Tensor:
     Returns:
         (B, (2r + 1)^2, h, w); channel (dy + r) (2r + 1) + dx + r compares fixed[y, x] with moving[y + dy, x + dx].
     """
-    fixed, moving = F.normalize(fixed, dim=1), F.normalize(moving, dim=1)
     height, width = fixed.shape[-2:]
-    padded = F.pad(moving, [radius] * 4)
-    side = range(2 * radius + 1)
-    products = [(fixed * padded[..., i : i + height, j : j + width]).sum(dim=1) for i in side for j in side]
-    return torch.stack(products, dim=1)
+    block, side = 2 * radius, 2 * radius + 1
+    blocks = (width + block - 1) // block
+    exact = torch.promote_types(fixed.dtype, torch.float32)
+    with torch.autocast(fixed.device.type, enabled=False):
+        fixed, moving = (F.normalize(x.to(exact), dim=1).permute(0, 2, 3, 1) for x in (fixed, moving))
+        cells = F.pad(fixed, [0, 0, 0, blocks * block - width]).unflatten(2, (blocks, block))
+        padding = [0, 0, radius, (blocks + 1) * block - width - radius, radius, radius]
+        around = F.pad(moving, padding).unflatten(2, (blocks + 1, block))
+        reach = torch.cat([around[:, :, :-1], around[:, :, 1:]], dim=3).transpose(3, 4)  # (B, h + 2r, blocks, C, 4r)
+        rows = [_band(cells @ reach[:, dy : dy + height], side) for dy in range(side)]
+    return torch.cat(rows, dim=-1)[:, :, :width].permute(0, 3, 1, 2)
+
+
+def _band(products: Tensor, side: int) -> Tensor:
+    """Entries [x, x] to [x, x + side - 1] of each matrix: (B, h, blocks, b, 2b) -> (B, h, blocks b, side)."""
+    rows, columns = products.shape[-2:]
+    skewed = F.pad(products.flatten(3), [0, rows]).unflatten(3, (rows, columns + 1))  # moves row x to the left by x
+    return skewed[..., :side].flatten(2, 3)
 
 
 def fit_affine(points_px: Tensor, displacements_px: Tensor, weights: Tensor, stiffness: float = 1e-2) -> Tensor:
-    """The affine that best explains displacements, by weighted least squares in closed form.
+    """The affine that best explains displacements, by weighted least squares in closed form, either axis by itself.
 
     Args:
         points_px: (N, 2).
         displacements_px: Where each point should move, (B, N, 2).
-        weights: Trust in each point, (B, N), summing to 1.
+        weights: Of each point's displacement along x and along y, (B, N, 2), summing to 1 over the points: an upright
+            edge tells the one and not the other.
         stiffness: Pull towards a pure translation, relative to the points' spread, so that points on a line still
             give a finite answer.
 
     Returns:
         A (B, 2, 3) with A @ (p, 1) close to p + displacement.
     """
-    w = weights[..., None]
-    centre = (w * points_px).sum(dim=1, keepdim=True)  # (B, 1, 2)
-    shift = (w * displacements_px).sum(dim=1, keepdim=True)
-    arms = points_px - centre  # (B, N, 2)
-    spread = exact_product(arms.transpose(1, 2), w * arms)  # (B, 2, 2)
-    cross = exact_product((displacements_px - shift).transpose(1, 2), w * arms)
-    a, b, d = spread[:, 0, 0], spread[:, 0, 1], spread[:, 1, 1]
+    w = weights.transpose(1, 2)[..., None]  # (B, 2 axes, N, 1)
+    values = displacements_px.transpose(1, 2)[..., None]
+    centre = (w * points_px).sum(dim=2, keepdim=True)  # (B, 2, 1, 2)
+    shift = (w * values).sum(dim=2, keepdim=True)  # (B, 2, 1, 1)
+    arms = points_px - centre  # (B, 2, N, 2)
+    cross = (w * (values - shift) * arms).sum(dim=2)  # (B, 2, 2)
+    a, b, d = ((w[..., 0] * arms[..., i] * arms[..., j]).sum(dim=2) for i, j in ((0, 0), (0, 1), (1, 1)))
     ridge = stiffness * points_px.var(dim=0).mean()
     a, d = a + ridge, d + ridge
-    inverse = torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[:, None, None]
-    linear = exact_product(cross, inverse)  # (B, 2, 2), the deviation from the identity
-    offset = shift - exact_product(centre, linear.transpose(1, 2))
-    deviation = torch.cat([linear, offset.transpose(1, 2)], dim=2)
+    along_x, along_y = cross.unbind(dim=-1)
+    linear = torch.stack([d * along_x - b * along_y, a * along_y - b * along_x], dim=-1)
+    linear = linear / (a * d - b * b)[..., None]  # (B, 2, 2), the deviation from the identity
+    offset = shift[:, :, 0] - (linear * centre[:, :, 0]).sum(dim=-1, keepdim=True)
+    deviation = torch.cat([linear, offset], dim=2)
     return identity_affine(len(deviation), device=deviation.device, dtype=deviation.dtype) + deviation
+
+
+def weigh(scores: Tensor, offsets_px: Tensor, trust: Tensor, stride: int) -> tuple[Tensor, Tensor]:
+    """Each region's displacement, and what it is worth along x and y: the inverse square of its variance.
+
+    Most regions see edges of one direction, and can't tell how far to slide along them (the aperture problem): their
+    mean says "not at all" then, and would hold the others back.
+
+    Args:
+        scores: Logits of the displacements, (B, N, K).
+        offsets_px: The displacements, (K, 2).
+        trust: Logits of the regions, (B, N).
+        stride: Pixels of a cell, within which a displacement isn't known.
+
+    Returns:
+        Mean displacement and weights that sum to 1 over the regions, (B, N, 2) each.
+    """
+    chance = scores.softmax(dim=-1)
+    mean = exact_product(chance, offsets_px)
+    variance = exact_product(chance, offsets_px.square()) - mean.square() + stride**2 / 12
+    logits = trust[..., None] - 2 * variance.log()
+    return mean, logits.softmax(dim=1)
 
 
 class Tower(nn.Module):
@@ -119,11 +159,12 @@ class Matcher(nn.Module):
         stride: Pixels of a cell.
         radius: Largest displacement found, in cells.
         window: Side of a region in cells, odd.
+        looks: How often it looks, each time with the colour where the look before has brought it.
     """
 
-    def __init__(self, channels: int, hidden: int, stride: int, radius: int, window: int) -> None:
+    def __init__(self, channels: int, hidden: int, stride: int, radius: int, window: int, looks: int = 1) -> None:
         super().__init__()
-        self.stride, self.radius, self.window = stride, radius, window
+        self.stride, self.radius, self.window, self.looks = stride, radius, window, looks
         candidates = (2 * radius + 1) ** 2
         self.read = nn.Sequential(
             conv_norm_gelu(candidates + channels, hidden),
@@ -150,9 +191,9 @@ class Matcher(nn.Module):
         evidence = self.read(torch.cat([3 * correlation, depth], dim=1))
         evidence, trust = evidence.split([len(self.offsets_px), 1], dim=1)
         scores = self.sharpness * self._pool(correlation + evidence / 3).flatten(2).transpose(1, 2).to(affine.dtype)
-        weights = self._pool(trust).flatten(1).to(affine.dtype).softmax(dim=-1)
         points_px = self._pool(centres_px.permute(2, 0, 1)[None])[0].flatten(1).T
-        update = fit_affine(points_px, exact_product(scores.softmax(dim=-1), self.offsets_px), weights)
+        regions_trust = self._pool(trust).flatten(1).to(affine.dtype)
+        update = fit_affine(points_px, *weigh(scores, self.offsets_px, regions_trust, self.stride))
         return compose_affines(affine, update), LocalMatches(points_px, self.offsets_px, scores, affine)
 
     def _pool(self, x: Tensor) -> Tensor:
@@ -171,10 +212,9 @@ class RegistrationNet(nn.Module):
         in_channels: Channels of each of the two first feature maps.
         widths: Channels of the tower at strides 2, 4, 8, ... times `in_stride`.
         hidden: Width of the convolutions that read the correlation.
-        matchers: Stride, radius in cells and window in cells of each matcher, coarsest first; without any, the answer
-            is the identity.
+        matchers: Stride, radius in cells and window in cells of each matcher, and how often it looks if more than
+            once, coarsest first; without any, the answer is the identity.
         in_stride: Pixels of a cell of the first feature maps.
-        looks: How often each matcher looks, each time with the colour where the look before has brought it.
     """
 
     def __init__(
@@ -182,19 +222,18 @@ class RegistrationNet(nn.Module):
         in_channels: int,
         widths: Sequence[int],
         hidden: int,
-        matchers: Sequence[tuple[int, int, int]],
+        matchers: Sequence[Sequence[int]],
         in_stride: int = 1,
-        looks: int = 1,
     ) -> None:
         super().__init__()
-        self.looks = looks
         self.tower = Tower(in_channels, widths)
         strides = [in_stride * 2 ** (i + 1) for i in range(len(widths))]
-        self.level_of_matcher = [strides.index(stride) for stride, _, _ in matchers]
-        self.matchers = nn.ModuleList(
+        self.level_of_matcher = [strides.index(stride) for stride, *_ in matchers]
+        built = [
             Matcher(widths[level], hidden, *matcher)
             for level, matcher in zip(self.level_of_matcher, matchers, strict=True)
-        )
+        ]
+        self.matchers, self.looks = nn.ModuleList(built), [matcher.looks for matcher in built]
         self.stride = strides[-1] if strides else in_stride
 
     def forward(self, rgb: Tensor, depth: Tensor) -> tuple[Tensor, list[LocalMatches]]:
@@ -210,8 +249,8 @@ class RegistrationNet(nn.Module):
         rgb_pyramid, depth_pyramid = self.tower(rgb), self.tower(depth)
         affine = identity_affine(len(rgb), device=rgb.device, dtype=torch.promote_types(rgb.dtype, torch.float32))
         matches = []
-        for level, matcher in zip(self.level_of_matcher, self.matchers, strict=True):
-            for _ in range(self.looks):
+        for level, matcher, looks in zip(self.level_of_matcher, self.matchers, self.looks, strict=True):
+            for _ in range(looks):
                 affine, seen = matcher(rgb_pyramid[level], depth_pyramid[level], affine)
                 matches.append(seen)
         return affine, matches

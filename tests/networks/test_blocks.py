@@ -1,18 +1,22 @@
 """The shared layers, against plain formulations and closed forms."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
+from scipy.interpolate import RBFInterpolator
 from torch import Tensor
 
 from depthreg.networks.blocks import CMRF, fill_nearest, fill_smoothly, nearest_valid, upsample_to
 
 Fill = Callable[[Tensor, Tensor], Tensor]
-FILLS = [fill_nearest, fill_smoothly]
+AVERAGES = [fill_nearest, fill_smoothly]
+fill_plate = partial(fill_smoothly, plate_steps=8)
+FILLS = [*AVERAGES, fill_plate]
 
 
 def seeded(*shape: int) -> Tensor:
@@ -70,7 +74,7 @@ def test_upsampling_keeps_a_constant_and_takes_the_others_size() -> None:
     torch.testing.assert_close(out, torch.full((1, 2, 7, 11), 4.5))
 
 
-@pytest.mark.parametrize("fill", FILLS)
+@pytest.mark.parametrize("fill", AVERAGES)
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (17, 33), (64, 97)])
 @pytest.mark.parametrize("share", [0.01, 0.2, 1.0])
 def test_filling_keeps_what_is_valid_and_invents_nothing_beyond_it(
@@ -106,11 +110,41 @@ def test_without_a_valid_pixel_everything_is_zero(fill: Fill) -> None:
     torch.testing.assert_close(filled[1], values[1])
 
 
-@pytest.mark.parametrize("fill", FILLS)
+@pytest.mark.parametrize("fill", AVERAGES)
 def test_one_hole_takes_the_mean_of_its_block(fill: Fill) -> None:
     values, valid = torch.tensor([[1.0, 2.0], [6.0, 99.0]])[None, None], torch.ones(1, 1, 2, 2).bool()
     valid[..., 1, 1] = False
     assert fill(values, valid)[0, 0, 1, 1].item() == pytest.approx(3.0)
+
+
+def scattered(surface: np.ndarray, share: float) -> tuple[Tensor, Tensor]:
+    """A surface and where it was measured."""
+    valid = np.random.default_rng(0).random(surface.shape) < share
+    return torch.from_numpy(surface.astype(np.float32))[None, None], torch.from_numpy(valid)[None, None]
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02, 0.1])
+def test_a_thin_plate_leans_like_the_plane_that_holds_it(share: float) -> None:
+    y, x = np.mgrid[:96, :128]
+    plane, valid = scattered(3 + 0.02 * x - 0.03 * y, share)
+    inside = np.s_[..., 16:-16, 16:-16]  # within what was measured
+    off, off_averages = ((fill(plane, valid) - plane)[inside].abs().mean() for fill in (fill_plate, fill_smoothly))
+    assert off < 0.5 * off_averages
+
+
+@pytest.mark.parametrize("share", [0.005, 0.02])
+def test_a_thin_plate_bends_as_scipys_does(share: float) -> None:
+    y, x = np.mgrid[:96, :128]
+    surface, valid = scattered(2 + np.sin(x / 25) * np.cos(y / 30), share)
+    points = np.stack(np.nonzero(valid[0, 0].numpy()), axis=-1)
+    exact = RBFInterpolator(points, surface[valid].numpy(), kernel="thin_plate_spline")
+    everywhere = exact(np.stack([y, x], axis=-1).reshape(-1, 2)).reshape(y.shape)
+    off, off_averages = (
+        np.abs(fill(surface, valid)[0, 0].numpy() - everywhere)[16:-16, 16:-16].mean()
+        for fill in (fill_plate, fill_smoothly)
+    )
+    assert off < 0.5 * off_averages
+    torch.testing.assert_close(fill_plate(surface, valid)[valid], surface[valid])
 
 
 @pytest.mark.parametrize("share", [0.002, 0.05, 0.6])

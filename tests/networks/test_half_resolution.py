@@ -53,7 +53,7 @@ def test_a_flat_wall_is_completed_as_a_flat_wall(make_half_resolution: Make, mak
     torch.nn.init.zeros_(network.completion.head.weight)  # untrained, it mixes the fillings
     torch.nn.init.constant_(network.completion.head.bias, 0)
     with torch.no_grad():
-        network.completion.head.bias[6] = -50  # none of the sky
+        network.completion.head.bias[7] = -50  # none of the sky
     wall_m = torch.where(depth_m > 0, 7.0, 0.0)
     torch.testing.assert_close(network(rgb, wall_m).depth_m, torch.full_like(wall_m, 7.0))
 
@@ -88,7 +88,7 @@ def test_fillings_are_the_nearest_return_and_the_nearest_surface() -> None:
     surface = ndimage.minimum_filter(cells, 7, mode="constant", cval=np.inf)
     seen = np.isfinite(surface)
     np.testing.assert_allclose(metres[1][seen], surface[seen], rtol=1e-4)
-    np.testing.assert_allclose(metres[6], FAR_FACTOR * depth_m.max().item(), rtol=1e-4)
+    np.testing.assert_allclose(metres[7], FAR_FACTOR * depth_m.max().item(), rtol=1e-4)
 
 
 def test_a_column_is_filled_from_above_from_below_and_by_the_plane_between() -> None:
@@ -96,12 +96,12 @@ def test_a_column_is_filled_from_above_from_below_and_by_the_plane_between() -> 
     plane_m = 60 / (torch.arange(64.0)[:, None] - 10.5)  # inverse depth is linear in the row
     depth_m[..., [20, 21, 40, 41], 8] = plane_m[[20, 20, 40, 40]].T
     priors = find_priors(depth_m)
-    above, below, plane = (priors.candidates + priors.centre).exp()[0, 3:6, :, 4]
+    above, below, plane = (priors.candidates + priors.centre).exp()[0, 4:7, :, 4]
     torch.testing.assert_close(above[10:], plane_m[[20] * 10 + [40] * 12, 0])
     torch.testing.assert_close(below[:21], plane_m[[20] * 11 + [40] * 10, 0])
     torch.testing.assert_close(plane[10:21], plane_m[20:41:2, 0])
     torch.testing.assert_close(plane[21:], plane_m[[40] * 11, 0])  # the one that there is
-    assert (priors.candidates[0, 3, :10, 4] == priors.candidates[0, 0, :10, 4]).all()  # none above: the nearest
+    assert (priors.candidates[0, 4, :10, 4] == priors.candidates[0, 0, :10, 4]).all()  # none above: the nearest
 
 
 def test_a_windows_maximum_is_scipys() -> None:
@@ -144,3 +144,12 @@ def test_matches_that_an_affine_explains_are_told_from_noise() -> None:
     sure, unsure = (match_quality(LocalMatches(points_px, offsets_px, scores, affine)) for scores in (shifted, noise))
     torch.testing.assert_close(sure, torch.tensor([[0.0, 1.0, 0.0]]), atol=1e-5, rtol=0)
     assert unsure[0, 2] > 0.2
+
+
+def test_depth_on_the_way_is_told_to_training_alone(make_half_resolution: Make, make_input: MakeInput) -> None:
+    network, (rgb, depth_m) = make_half_resolution().train(), make_input()
+    output = network(rgb, depth_m)
+    assert [earlier.shape for earlier in output.earlier_m] == [depth_m.shape] * 2
+    sum(earlier.sum() for earlier in output.earlier_m).backward()
+    assert network.completion.head.weight.grad.abs().sum() > 0
+    assert network.eval()(rgb, depth_m).earlier_m == ()

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from depthreg.networks.registration import Matcher, edge_strength, fit_affine, local_correlation
+from depthreg.networks.registration import Matcher, edge_strength, fit_affine, local_correlation, weigh
 
 AFFINE = torch.tensor([[1.02, -0.03, 4.0], [0.05, 0.97, -6.0]], dtype=torch.float64)
 
@@ -40,9 +40,9 @@ def test_the_correlation_compares_each_cell_with_its_surroundings() -> None:
 
 def test_an_exact_affine_is_recovered_from_its_displacements() -> None:
     points = grid_points()
-    weights = torch.rand(1, len(points), generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    weights = torch.rand(1, len(points), 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     displacements = displacements_of(AFFINE, points)[None]
-    fitted = fit_affine(points, displacements, weights / weights.sum(), stiffness=1e-12)
+    fitted = fit_affine(points, displacements, weights / weights.sum(dim=1), stiffness=1e-12)
     torch.testing.assert_close(fitted[0], AFFINE, atol=1e-8, rtol=0)
 
 
@@ -50,14 +50,18 @@ def test_noisy_displacements_are_fitted_as_numpys_least_squares_fits_them() -> N
     points = grid_points()
     rng = np.random.default_rng(2)
     displacements = displacements_of(AFFINE, points).numpy() + rng.normal(0, 2, (len(points), 2))
-    weights = rng.random(len(points))
-    root = np.sqrt(weights)[:, None]
+    weights = rng.random((len(points), 2))
     homogeneous = np.column_stack([points.numpy(), np.ones(len(points))])
-    theirs = np.linalg.lstsq(root * homogeneous, root * (points.numpy() + displacements), rcond=None)[0].T
+    moved = points.numpy() + displacements
+    roots = np.sqrt(weights).T[..., None]
+    theirs = [
+        np.linalg.lstsq(root * homogeneous, root[:, 0] * to, rcond=None)[0]
+        for root, to in zip(roots, moved.T, strict=True)
+    ]
     ours = fit_affine(
         points,
         torch.from_numpy(displacements)[None],
-        torch.from_numpy(weights / weights.sum())[None],
+        torch.from_numpy(weights / weights.sum(axis=0))[None],
         stiffness=1e-12,
     )
     np.testing.assert_allclose(ours[0].numpy(), theirs, atol=1e-7)
@@ -66,7 +70,7 @@ def test_noisy_displacements_are_fitted_as_numpys_least_squares_fits_them() -> N
 def test_a_pure_translation_survives_any_stiffness() -> None:
     points = grid_points()
     shift = torch.tensor([5.0, -3.0], dtype=torch.float64).expand(1, len(points), 2)
-    weights = torch.full((1, len(points)), 1 / len(points), dtype=torch.float64)
+    weights = torch.full((1, len(points), 2), 1 / len(points), dtype=torch.float64)
     fitted = fit_affine(points, shift, weights, stiffness=1.0)
     torch.testing.assert_close(fitted[0, :, :2], torch.eye(2, dtype=torch.float64))
     assert fitted[0, :, 2].tolist() == pytest.approx([5.0, -3.0])
@@ -76,12 +80,34 @@ def test_a_pure_translation_survives_any_stiffness() -> None:
 def test_points_that_leave_the_affine_open_still_give_a_finite_one(trusted: str) -> None:
     points = grid_points()
     chosen = points[:, 1] == 0 if trusted == "line" else torch.arange(len(points)) == 3
-    weights = (chosen / chosen.sum())[None].double()
+    weights = (chosen / chosen.sum())[None, :, None].double().expand(-1, -1, 2)
     displacements = displacements_of(AFFINE, points)[None].requires_grad_()
     fitted = fit_affine(points, displacements, weights)
     fitted.sum().backward()
     assert fitted.isfinite().all() and displacements.grad.isfinite().all()
     assert (fitted[0, :, :2] - torch.eye(2)).abs().max() < 0.2
+
+
+def test_regions_that_see_upright_edges_alone_say_nothing_about_y() -> None:
+    """The aperture problem: all points tell x, a few corners tell y; what the others make of y must not count."""
+    y, x = torch.meshgrid(torch.arange(-4.0, 5.0) * 8, torch.arange(-4.0, 5.0) * 8, indexing="ij")
+    offsets_px = torch.stack([x, y], dim=-1).reshape(-1, 2)
+    points = grid_points().float()
+    truth = displacements_of(AFFINE, points.double()).float()
+    distance = offsets_px - truth[:, None]
+    corners = torch.arange(len(points)) % 4 == 0
+    scores = (
+        -(distance[..., 0] / 4).square() / 2
+        - torch.where(corners, 1.0, 0.0)[:, None] * (distance[..., 1] / 4).square() / 2
+    )
+    mean, weights = weigh(scores[None], offsets_px, torch.zeros(1, len(points)), stride=8)
+    torch.testing.assert_close(weights.sum(dim=1), torch.ones(1, 2))
+    fitted = fit_affine(points, mean, weights, stiffness=1e-6)[0]
+    corner_px = torch.tensor([[0.0, 0, 1], [150, 0, 1], [0, 90, 1], [150, 90, 1]])
+    off_px = (corner_px @ fitted.T - corner_px @ AFFINE.float().T).norm(dim=-1)
+    even = fit_affine(points, mean, torch.full_like(mean, 1 / len(points)), stiffness=1e-6)[0]
+    off_even_px = (corner_px @ even.T - corner_px @ AFFINE.float().T).norm(dim=-1)
+    assert off_px.max() < 1 and off_even_px.max() > 4
 
 
 def test_edge_strength_hardly_depends_on_the_images_gain() -> None:
