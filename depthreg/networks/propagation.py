@@ -100,10 +100,10 @@ class PropagationNet(nn.Module):
     """From aligned colour and a filled sparse depth map to dense log-depth at full resolution.
 
     All convolutions work on cells of 2 x 2 pixels and coarser, as full-resolution ones cost mostly memory traffic. A
-    U-Net mixes the fillings of each cell; then every cell takes a convex mixture of its
-    neighbours', several times, at shrinking distances, while cells with a trusted return keep it (convolutional
-    spatial propagation, Cheng et al., TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels,
-    which trusted returns around them correct.
+    U-Net mixes the fillings of each cell; then every cell takes a convex mixture of its neighbours', several times, at
+    shrinking distances, while cells with a trusted return keep it (convolutional spatial propagation, Cheng et al.,
+    TPAMI 2019); convex upsampling (RAFT, Teed and Deng, ECCV 2020) gives pixels, which trusted returns around them
+    correct.
 
     Args:
         widths: Channels of the U-Net at strides 2, 4, 8, ...

@@ -48,7 +48,7 @@ def local_correlation(fixed: Tensor, moving: Tensor, radius: int) -> Tensor:
     Args:
         fixed: Features (B, C, h, w).
         moving: Features (B, C, h, w).
-        radius: Largest displacement r in cells.
+        radius: Largest displacement r in cells, at least 1.
 
     Returns:
         (B, (2r + 1)^2, h, w); channel (dy + r) (2r + 1) + dx + r compares fixed[y, x] with moving[y + dy, x + dx].
